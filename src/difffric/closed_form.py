@@ -1,0 +1,174 @@
+"""The closed-form integrator: exact legs of a push wherever every law is affine."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from difffric.affine import Oscillator, Slide
+from difffric.errors import InputError
+from difffric.legs import CATCH, HALT, RELEASE, STOP, TURN, Leg, first_event
+from difffric.rig import Rig
+from difffric.roots import falling_root
+
+
+def _oscillator(acceleration, v_p):
+    """The compression's oscillator and its equilibrium, read off equation (2).
+
+    z'' = -x'' with x' = v_p - z', so that z'' = -a(z, z'); a is affine.
+    """
+
+    def a(z, w):
+        return acceleration(z, w, v_p - w)
+
+    a_z, a_w = jax.jacfwd(a, (0, 1))(0.0, 0.0)
+    return Oscillator(0.5 * a_w, a_z), -a(0.0, 0.0) / a_z
+
+
+def _slide(rig):
+    return Slide(-rig.free(0.0), -jax.jacfwd(rig.free)(0.0))
+
+
+def _gap(t, args):
+    """Distance of the part ahead of a tip that moves at v_p, and its rate."""
+    drag, rate, u, ahead, v_p = args
+    s, u_t = Slide(drag, rate).flow(u, t)
+    return ahead + s - v_p * t, u_t - v_p
+
+
+def _compression(t, args):
+    alpha, omega0_sq, xi, w, z_e = args
+    p, dp = Oscillator(alpha, omega0_sq).flow(xi, w, t)
+    return z_e + p, dp
+
+
+def _undershoot(t, args):
+    """How far z' still is below the tip's speed v_p: zero where the part halts."""
+    alpha, omega0_sq, w, dw, v_p = args
+    p, dp = Oscillator(alpha, omega0_sq).flow(w, dw, t)
+    return v_p - p, -dp
+
+
+class ClosedForm(eqx.Module):
+    """Equation (2) with affine laws, solved on paper: exact to rounding, fast, and
+    differentiable to any order in forward mode.
+    """
+
+    def check(self, rig: Rig):
+        """Raise `InputError` where a law of the rig has no closed form."""
+        if not rig.affine:
+            raise InputError(
+                "the closed form needs affine laws; "
+                f"{type(rig.friction).__name__} with {type(rig.contact).__name__} is not: "
+                "leave the integrator out, or give integrator=Diffrax()"
+            )
+
+    def breakaway(self, rig, v_p):
+        """Compression [m] at which a part at rest starts to slide; 0: at once."""
+        at_touch = rig.contact.approach(0.0, v_p)
+        stiffness = jax.jacfwd(rig.contact.approach)(0.0, v_p)
+        F_S = rig.friction.breakaway(rig.F_N)
+        sticks = F_S > at_touch
+        return jnp.where(sticks, (F_S - at_touch) / stiffness, 0.0)
+
+    def closing(self, rig, z, u, v_p, left, may_halt):
+        """The tip closes in on the part, until w = 0, the part halts or the pusher stops."""
+        osc, z_e = _oscillator(rig.approaching, v_p)
+        xi, w = z - z_e, v_p - u
+        dw = -2 * osc.alpha * w - osc.omega0_sq * xi
+        turn = _unless_steady(osc, xi, w, z_e, osc.turning_time(xi, w, 1.0))
+        halt = jnp.inf
+        if may_halt:  # never in a push's first closing: from rest the part only speeds up
+            falling = dw > 0
+            top = osc.turning_time(w, jnp.where(falling, dw, 1.0), 1.0)
+            halts = falling & (osc.extremum(w, dw, jnp.where(falling, top, 0.0)) > v_p)
+            top = jnp.where(halts, top, 0.0)
+            args = (osc.alpha, osc.omega0_sq, w, dw, v_p)
+            halt = jnp.where(halts, falling_root(_undershoot, args, 0.0, top, 0.5 * top), jnp.inf)
+        dt, event = first_event((left, STOP), (turn, TURN), (halt, HALT))
+        p, dp = osc.flow(xi, w, _finite(dt))
+        p = jnp.where(event == TURN, osc.extremum(xi, w, dt), p)
+        z_1 = z_e + p
+        u_1 = jnp.where(event == TURN, v_p, jnp.where(event == HALT, 0.0, v_p - dp))
+        peak = self._peak(rig, osc, z_e, xi, w, dw, turn, dt, (p, dp))
+        return Leg(dt, event, z_1, u_1, 0.0, peak)
+
+    def _peak(self, rig, osc, z_e, xi, w, dw, turn, dt, end):
+        """Largest contact force of a closing: the force obeys the same oscillator."""
+        k, b = jax.jacfwd(rig.contact.approach, (0, 1))(0.0, 0.0)
+        N_e = rig.contact.approach(z_e, 0.0)
+        N, dN = k * xi + b * w, k * w + b * dw
+        rises = dN > 0
+        top = osc.turning_time(jnp.where(rises, N, -1.0), jnp.where(rises, dN, 0.0), 1.0)
+        inside = rises & (top <= dt) & jnp.isfinite(top)
+        summit = osc.extremum(N, dN, jnp.where(inside, top, 0.0))
+        # Overdamped and never turning, the force creeps up to its equilibrium.
+        creeps = jnp.isinf(dt)
+        at_end = jnp.where(creeps, 0.0, k * end[0] + b * end[1])
+        return N_e + jnp.where(rises, jnp.where(inside, summit, at_end), N)
+
+    def rebounding(self, rig, z, u, v_p, left):
+        """The part recedes from the tip, until release, w = 0 or the pusher's stop."""
+        osc, z_e = _oscillator(rig.rebounding, v_p)
+        xi, w = z - z_e, v_p - u
+        turn = _unless_steady(osc, xi, w, z_e, osc.turning_time(xi, w, -1.0))
+        finite = jnp.isfinite(turn)
+        t_turn = jnp.where(finite, turn, 0.0)
+        depth = osc.extremum(xi, w, t_turn)
+        leaves = finite & (depth >= z_e)
+        # Seen from the turn, an undamped motion reaches z = 0 where the cosine is z_e / depth.
+        cosine = jnp.where(leaves, z_e / jnp.where(leaves, depth, 1.0), 0.0)
+        back = jnp.arccos(jnp.clip(cosine, 0.0, 1.0))
+        guess = t_turn - back / jnp.sqrt(jnp.abs(osc.discriminant))
+        args = (osc.alpha, osc.omega0_sq, xi, w, z_e)
+        upto = jnp.where(leaves, t_turn, 0.0)
+        release = jnp.where(leaves, falling_root(_compression, args, 0.0, upto, guess), jnp.inf)
+        dt, event = first_event(
+            (left, STOP), (release, RELEASE), (jnp.where(leaves, jnp.inf, turn), TURN)
+        )
+        p, dp = osc.flow(xi, w, _finite(dt))
+        p = jnp.where(event == TURN, -depth, p)
+        z_1 = jnp.where(event == RELEASE, 0.0, z_e + p)
+        u_1 = jnp.where(event == TURN, v_p, v_p - dp)
+        return Leg(dt, event, z_1, u_1, 0.0, 0.0)
+
+    def free(self, rig, z, u, v_p, left, may_catch):
+        """The part slides without contact, until rest, the pusher's stop or the next contact."""
+        slide = _slide(rig)
+        t_rest, s_rest = slide.rest(u)
+        if not may_catch:
+            return Leg(t_rest, jnp.full_like(left, HALT, int), z - s_rest, 0.0, s_rest, 0.0)
+        horizon = jnp.minimum(t_rest, left)
+        args = (*slide, u, -z, v_p)
+        caught = (v_p > 0) & (_gap(horizon, args)[0] <= 0)
+        # The gap is concave: it grows until u = v_p, and falls ever faster from there.
+        level = slide.drag + slide.rate * v_p
+        since = jnp.where(caught & (u > v_p), Slide(level, slide.rate).rest(u - v_p)[0], 0.0)
+        upto = jnp.where(caught, horizon, 0.0)
+        catch = jnp.where(caught, falling_root(_gap, args, since, upto, upto), jnp.inf)
+        dt, event = first_event((left, STOP), (catch, CATCH), (t_rest, HALT))
+        s, u_1 = slide.flow(u, dt)
+        s = jnp.where(event == HALT, s_rest, s)
+        z_1 = jnp.where(event == CATCH, 0.0, z + v_p * dt - s)
+        return Leg(dt, event, z_1, jnp.where(event == HALT, 0.0, u_1), s, 0.0)
+
+    def pushed_state(self, rig, closing: bool, z, u, v_p, t):
+        """(z, u) at the time t into a pushed leg."""
+        osc, z_e = _oscillator(rig.approaching if closing else rig.rebounding, v_p)
+        p, dp = osc.flow(z - z_e, v_p - u, t)
+        return z_e + p, v_p - dp
+
+    def free_state(self, rig, u, t):
+        """(distance, u) at the time t into a free leg."""
+        return _slide(rig).flow(u, t)
+
+
+def _finite(t):
+    return jnp.where(jnp.isfinite(t), t, 0.0)
+
+
+def _unless_steady(osc, xi, w, z_e, turn):
+    """An oscillation below rounding is steady sliding: it has no next turn."""
+    energy = osc.omega0_sq * xi**2 + w**2
+    return jnp.where(energy > osc.omega0_sq * (1e-13 * z_e) ** 2, turn, jnp.inf)

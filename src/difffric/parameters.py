@@ -1,0 +1,51 @@
+"""Names of a rig's parameters, as files and results write them, and where they stand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import equinox as eqx
+
+from difffric.errors import InputError
+from difffric.rig import Rig
+
+RIG_PARAMETERS: dict[str, Callable[[Rig], object]] = {
+    "mu_s": lambda rig: rig.friction.mu_s,
+    "mu_k_over_mu_s": lambda rig: rig.friction.mu_k_over_mu_s,
+    "k_v_N_s_per_m": lambda rig: rig.friction.k_v,
+    "k_N_per_m": lambda rig: rig.contact.k,
+    "b_N_s_per_m": lambda rig: rig.contact.b,
+    "mass_kg": lambda rig: rig.mass,
+}
+"""SI parameters of the laws of equations (1) and (2). mu_k follows mu_s by the ratio."""
+
+
+def names(rig: Rig) -> tuple[str, ...]:
+    """The parameters that this rig's laws have."""
+
+    def has(where):
+        try:
+            return where(rig) is not None
+        except AttributeError:
+            return False
+
+    return tuple(name for name, where in RIG_PARAMETERS.items() if has(where))
+
+
+def values(rig: Rig) -> dict[str, object]:
+    """Name -> value [SI]."""
+    return {name: RIG_PARAMETERS[name](rig) for name in names(rig)}
+
+
+def with_values(rig: Rig, new: Mapping[str, object]) -> Rig:
+    """The rig with some parameters replaced.
+
+    Raises `InputError` for a name that the rig does not have.
+    """
+    unknown = sorted(set(new) - set(names(rig)))
+    if unknown:
+        raise InputError(f"no such parameter: {', '.join(unknown)}; known: {', '.join(names(rig))}")
+    if not new:
+        return rig
+    wheres = [RIG_PARAMETERS[name] for name in new]
+    return eqx.tree_at(lambda r: [where(r) for where in wheres], rig, list(new.values()))

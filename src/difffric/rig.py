@@ -1,0 +1,70 @@
+"""The rig: part, friction, contact, pusher and sensors, and their force balance, equation (2)."""
+
+from __future__ import annotations
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from difffric.contact import AbstractContact, UnilateralSpringDamper
+from difffric.friction import AbstractFriction, ViscousCoulomb
+from difffric.pusher import ConstantSpeed
+from difffric.sensors import ForceSensor, Probe
+from difffric.units import GRAVITY
+
+
+class Rig(eqx.Module):
+    """A part on rails in front of a push tip. All fields in SI units.
+
+    Every number in it may be a Python float or a JAX value, so a rig can be differentiated
+    and batched like any array.
+    """
+
+    mass: Float[Array, ""]
+    friction: AbstractFriction
+    contact: AbstractContact
+    pusher: ConstantSpeed = ConstantSpeed()
+    force_sensor: ForceSensor = ForceSensor()
+    probe: Probe = Probe()
+
+    @property
+    def F_N(self):
+        """Normal force m g [N]."""
+        return self.mass * GRAVITY
+
+    @property
+    def affine(self) -> bool:
+        """Whether every segment of a push has a closed form."""
+        return self.friction.affine and self.contact.affine
+
+    def approaching(self, z, w, u):
+        """Equation (2) while the tip closes in on the part: x'' [m/s^2]."""
+        return self.balance(self.contact.approach(z, w), u)
+
+    def rebounding(self, z, w, u):
+        """Equation (2) while the part recedes from the tip: x'' [m/s^2]."""
+        return self.balance(self.contact.rebound(z, w), u)
+
+    def free(self, u):
+        """Equation (2) without contact: x'' [m/s^2]."""
+        return self.balance(0.0, u)
+
+    def balance(self, F_contact, u):
+        """m x'' = b max(y' - x', 0) + k max(y - x, 0) - F(t), solved for x''.
+
+        These are the physical signs: the paper prints -F(t) alone on the right and the contact
+        on the left, which would pull the part away from the push.
+        """
+        return (F_contact - self.friction.sliding(u, self.F_N)) / self.mass
+
+
+def spring_damper_rig(
+    *, mass, mu_s, k, b, mu_k_over_mu_s=0.75, k_v=0.0, stroke=None, **sensors
+) -> Rig:
+    """The paper's rig: equation (1) on the rails, equation (2) at the tip (SI units)."""
+    return Rig(
+        mass=mass,
+        friction=ViscousCoulomb(mu_s, mu_k_over_mu_s, k_v),
+        contact=UnilateralSpringDamper(k, b),
+        pusher=ConstantSpeed(stroke),
+        **sensors,
+    )

@@ -1,0 +1,53 @@
+"""A bracketed Newton root for event times, with exact derivatives of every order."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+
+class _Search(NamedTuple):
+    t: jax.Array
+    lo: jax.Array
+    hi: jax.Array
+    step: jax.Array
+    count: jax.Array
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def falling_root(f, args, lo, hi, guess):
+    """The root in [lo, hi] of `f(t, args) = (value, slope)`, which falls from > 0 to <= 0.
+
+    Newton from `guess`; a step that leaves the bracket is replaced by bisection. The
+    derivative with respect to `args` is the implicit function's, itself differentiable:
+    `slope` must be the exact derivative of `value` in t.
+    """
+    eps = jnp.finfo(jnp.result_type(float)).eps
+
+    def unfinished(s):
+        return (jnp.abs(s.step) > 2 * eps * jnp.abs(s.t)) & (s.count < 100)
+
+    def improve(s):
+        value, slope = f(s.t, args)
+        lo = jnp.where(value > 0, s.t, s.lo)
+        hi = jnp.where(value > 0, s.hi, s.t)
+        t = s.t - value / jnp.where(slope == 0, -eps, slope)
+        # A step below rounding may leave the bracket by an ulp: it is an arrival, not an escape.
+        near = jnp.abs(t - s.t) <= 8 * eps * jnp.abs(s.t)
+        t = jnp.where(near | ((t >= lo) & (t <= hi)), t, 0.5 * (lo + hi))
+        return _Search(t, lo, hi, jnp.where(near, 0.0, t - s.t), s.count + 1)
+
+    lo, hi, guess = jnp.broadcast_arrays(lo, hi, jnp.clip(guess, lo, hi))
+    start = _Search(guess, lo, hi, jnp.full_like(guess, jnp.inf), jnp.zeros_like(guess, int))
+    return jax.lax.while_loop(unfinished, improve, start).t
+
+
+@falling_root.defjvp
+def _falling_root_jvp(f, primals, tangents):
+    args, lo, hi, guess = primals
+    t = falling_root(f, args, lo, hi, guess)
+    (_, slope), (value_dot, _) = jax.jvp(lambda a: f(t, a), (args,), (tangents[0],))
+    return t, -value_dot / jnp.where(slope == 0, 1.0, slope)

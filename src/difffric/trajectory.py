@@ -1,0 +1,102 @@
+"""A trajectory: the segments of a push, to be evaluated exactly at any time."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from difffric.observables import Observables, observables
+from difffric.simulate import CLOSING, FREE, REASONS, REBOUNDING, REGIMES, Push, Segment
+
+
+class Trajectory(eqx.Module):
+    """One push from t = 0 to rest: `.force(t)`, `.position(t)`, `.speed(t)` and the
+    observables. A pytree: it can be differentiated and batched.
+    """
+
+    push: Push
+    segments: Segment
+    observables: Observables
+
+    @classmethod
+    def of(cls, push: Push) -> Trajectory:
+        """Follow a push."""
+        state, segments = push.segments()
+        return cls(push, segments, observables(push, state))
+
+    @property
+    def peak_force(self):
+        """F_p [N]."""
+        return self.observables.peak_force
+
+    @property
+    def sliding_distance(self):
+        """d [m]; NaN where it does not exist: `reason` says why."""
+        return self.observables.sliding_distance
+
+    @property
+    def reason(self) -> str | None:
+        """Why d (or more) does not exist; None where it does."""
+        return REASONS[int(self.observables.reason)]
+
+    @property
+    def regime(self) -> str:
+        """How the push went."""
+        return REGIMES[int(self.observables.regime)]
+
+    @property
+    def stop_time(self):
+        """When the part comes to rest for good [s] (its last segment's start)."""
+        t = self.segments.t
+        return jnp.max(jnp.where(jnp.isfinite(t), t, 0.0))
+
+    def force(self, t: Float[Array, " n"]) -> Float[Array, " n"]:
+        """Contact force [N] at the times t [s]; zero before the push."""
+        return self.evaluate(t)[0]
+
+    def position(self, t: Float[Array, " n"]) -> Float[Array, " n"]:
+        """Position x of the part [m] at the times t [s], zero at its start."""
+        return self.evaluate(t)[1]
+
+    def speed(self, t: Float[Array, " n"]) -> Float[Array, " n"]:
+        """Speed u = x' of the part [m/s] at the times t [s]."""
+        return self.evaluate(t)[2]
+
+    def evaluate(self, t):
+        """(force [N], position [m], speed [m/s]) at the times t [s], in one call.
+
+        NaN beyond the last segment followed where the push never ends.
+        """
+        return _evaluate(self, jnp.asarray(t, float))
+
+
+@jax.jit
+def _evaluate(trajectory: Trajectory, t):
+    at = jnp.vectorize(lambda time: _at(trajectory, time), signature="()->(),(),()")
+    return at(t)
+
+
+def _at(trajectory: Trajectory, time):
+    rig, _, integrator = trajectory.push
+    table = trajectory.segments
+    index = jnp.maximum(jnp.searchsorted(table.t, time, side="right") - 1, 0)
+    s = jax.tree.map(lambda column: column[index], table)
+    dt = jnp.maximum(time - s.t, 0.0)
+    y = s.y + s.v_p * dt
+
+    z_c, u_c = integrator.pushed_state(rig, True, s.z, s.u, s.v_p, dt)
+    z_r, u_r = integrator.pushed_state(rig, False, s.z, s.u, s.v_p, dt)
+    slid, u_f = integrator.free_state(rig, s.u, dt)
+    stuck = (s.z + s.v_p * dt, jnp.zeros_like(s.u))
+    moving = ((z_c, u_c), (z_r, u_r), (s.z + s.v_p * dt - slid, u_f))
+    z, u = stuck
+    for mode, (z_m, u_m) in zip((CLOSING, REBOUNDING, FREE), moving, strict=True):
+        z, u = jnp.where(s.mode == mode, z_m, z), jnp.where(s.mode == mode, u_m, u)
+
+    approach, rebound = rig.contact.approach(z, s.v_p - u), rig.contact.rebound(z, s.v_p - u)
+    force = jnp.where(s.mode == REBOUNDING, rebound, approach)
+    touching = (s.mode != FREE) & (z >= 0)
+    started = time >= 0
+    return jnp.where(touching & started, force, 0.0), y - z, u
