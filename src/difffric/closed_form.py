@@ -79,7 +79,7 @@ class ClosedForm(eqx.Module):
         dw = -2 * osc.alpha * w - osc.omega0_sq * xi
         turn = _unless_steady(osc, xi, w, z_e, osc.turning_time(xi, w, 1.0))
         halt = jnp.inf
-        if may_halt:  # never in a push's first closing: from rest the part only speeds up
+        if may_halt:  # not where one cycle is all: from rest the part only speeds up
             falling = dw > 0
             top = osc.turning_time(w, jnp.where(falling, dw, 1.0), 1.0)
             halts = falling & (osc.extremum(w, dw, jnp.where(falling, top, 0.0)) > v_p)
@@ -117,10 +117,14 @@ class ClosedForm(eqx.Module):
         t_turn = jnp.where(finite, turn, 0.0)
         depth = osc.extremum(xi, w, t_turn)
         leaves = finite & (depth >= z_e)
-        # Seen from the turn, an undamped motion reaches z = 0 where the cosine is z_e / depth.
+        # Seen back from the turn, exp(c a)(cos a - c sin a) = z_e / depth with c = alpha/omega:
+        # the phase a to first order in c.
         cosine = jnp.where(leaves, z_e / jnp.where(leaves, depth, 1.0), 0.0)
-        back = jnp.arccos(jnp.clip(cosine, 0.0, 1.0))
-        guess = t_turn - back / jnp.sqrt(jnp.abs(osc.discriminant))
+        sine = jnp.sqrt(jnp.maximum(1.0 - cosine**2, 1e-30))
+        phase = jnp.arctan2(sine, cosine)
+        omega = jnp.sqrt(jnp.abs(osc.discriminant))
+        phase = phase - osc.alpha / omega * (1.0 - phase * cosine / sine)
+        guess = t_turn - phase / omega
         args = (osc.alpha, osc.omega0_sq, xi, w, z_e)
         upto = jnp.where(leaves, t_turn, 0.0)
         release = jnp.where(leaves, falling_root(_compression, args, 0.0, upto, guess), jnp.inf)

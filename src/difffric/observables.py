@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from difffric import simulate as sim
+from difffric.rig import Rig
 
 
 class Observables(NamedTuple):
@@ -29,40 +30,39 @@ class Observables(NamedTuple):
     """a number that changes wherever a derivative may jump"""
 
 
+def observe(rig: Rig, velocity, integrator: sim.Integrator | None = None) -> Observables:
+    """F_p [N] and d [m] of one push at `velocity` [m/s]; the stroke is the rig's pusher's.
+
+    Pure and traceable: jit, vmap and differentiate it (forward mode) as you like.
+    """
+    push = sim.Push.of(rig, velocity, integrator)
+    return observables(push, push.last_state())
+
+
 def observables(push: sim.Push, state: sim.State) -> Observables:
     """Read F_p, d and the regime off the last state of a push."""
-    failed = jnp.where(
-        state.contacts > sim.MAX_CONTACTS,
-        sim.TOO_MANY_CONTACTS,
-        jnp.where(state.cycles >= sim.MAX_CYCLES, sim.TOO_MANY_CYCLES, sim.OK),
-    )
+    too_many = state.contacts > sim.MAX_CONTACTS
+    too_long = state.cycles >= sim.MAX_CYCLES
     left = state.lost & ~state.in_contact
-    reason = jnp.where(
-        failed != sim.OK,
-        failed,
-        jnp.where(
-            state.endless, sim.NEVER_RELEASED, jnp.where(left, sim.OK, sim.RESTS_IN_CONTACT)
-        ),
+    reason = jnp.select(
+        [too_many, too_long, state.endless, ~left],
+        [sim.TOO_MANY_CONTACTS, sim.TOO_MANY_CYCLES, sim.NEVER_RELEASED, sim.RESTS_IN_CONTACT],
+        sim.OK,
     )
-    regime = jnp.where(
-        ~state.moved,
-        sim.NO_MOTION,
-        jnp.where(
-            ~left,
-            sim.PUSHED_TO_REST,
-            jnp.where(state.lost_moving, sim.RELEASED_BY_REBOUND, sim.RELEASED_AT_STOP),
-        ),
+    regime = jnp.select(
+        [~state.moved, ~left, state.lost_moving],
+        [sim.NO_MOTION, sim.PUSHED_TO_REST, sim.RELEASED_BY_REBOUND],
+        sim.RELEASED_AT_STOP,
     )
-    stuck_first = push.integrator.breakaway(push.rig, push.velocity) > 0
-    kind = regime + 4 * stuck_first
+    kind = regime + 4 * state.stuck_first
     for count in (state.contacts, state.sticks, state.peak_contact):
         kind = kind * 1024 + count
     return Observables(
-        peak_force=jnp.where(failed != sim.OK, jnp.nan, state.peak),
+        peak_force=jnp.where(too_many | too_long, jnp.nan, state.peak),
         sliding_distance=jnp.where(reason != sim.OK, jnp.nan, state.slid),
         reason=reason,
         regime=regime,
-        stuck_first=stuck_first,
+        stuck_first=state.stuck_first,
         contacts=state.contacts,
         kind=kind,
     )

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 
 from difffric.errors import InputError
+from difffric.pusher import ConstantSpeed
 from difffric.rig import Rig
 
 RIG_PARAMETERS: dict[str, Callable[[Rig], object]] = {
@@ -49,3 +52,17 @@ def with_values(rig: Rig, new: Mapping[str, object]) -> Rig:
         return rig
     wheres = [RIG_PARAMETERS[name] for name in new]
     return eqx.tree_at(lambda r: [where(r) for where in wheres], rig, list(new.values()))
+
+
+def with_stroke(rig: Rig, stroke) -> Rig:
+    """The rig whose pusher stops after `stroke` [m]; None: at the first loss of contact."""
+    return eqx.tree_at(lambda r: r.pusher, rig, ConstantSpeed(stroke))
+
+
+def spread(rig: Rig, n: int) -> Rig:
+    """n copies of a rig in one, every number an array of that length, to be vmapped over."""
+
+    def copies(leaf):
+        return jnp.broadcast_to(jnp.asarray(leaf, float), (n,))
+
+    return jax.tree.map(copies, rig)

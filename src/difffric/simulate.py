@@ -6,14 +6,15 @@ once through its modes in their natural order; a push of one contact is one cycl
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from difffric.closed_form import ClosedForm
-from difffric.legs import CATCH, HALT, NONE, RELEASE, STOP, TURN
+from difffric.errors import require_float64
+from difffric.legs import CATCH, HALT, NONE, RELEASE, STOP, TURN, Leg
 from difffric.rig import Rig
 
 STUCK, CLOSING, REBOUNDING, FREE = range(4)
@@ -51,8 +52,10 @@ class State(NamedTuple):
     """Where a push stands: the current segment and what has been counted and measured."""
 
     segment: Segment
+    stuck_first: Array
     contacts: Array
     sticks: Array
+    """times that the part was held at rest"""
     moved: Array
     lost_moving: Array
     """loss of contact while the pusher moved (the last one)"""
@@ -74,8 +77,27 @@ class State(NamedTuple):
         return at_rest | self.endless | too_long
 
 
+def _diffrax():
+    # Imported only where it is needed: it costs a good part of a command's start.
+    from difffric.integrate import Diffrax
+
+    return Diffrax()
+
+
 def _select(condition, new, old):
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)
+
+
+class Integrator(Protocol):
+    """What solves the legs of a push: `ClosedForm` where every law is affine, else `Diffrax`."""
+
+    def check(self, rig: Rig) -> None: ...
+    def breakaway(self, rig: Rig, v_p) -> Array: ...
+    def closing(self, rig: Rig, z, u, v_p, left, may_halt: bool) -> Leg: ...
+    def rebounding(self, rig: Rig, z, u, v_p, left) -> Leg: ...
+    def free(self, rig: Rig, z, u, v_p, left, may_catch: bool) -> Leg: ...
+    def pushed_state(self, rig: Rig, closing: bool, z, u, v_p, t) -> tuple[Array, Array]: ...
+    def free_state(self, rig: Rig, u, t) -> tuple[Array, Array]: ...
 
 
 class Push(NamedTuple):
@@ -83,7 +105,16 @@ class Push(NamedTuple):
 
     rig: Rig
     velocity: Array
-    integrator: ClosedForm
+    integrator: Integrator
+
+    @classmethod
+    def of(cls, rig: Rig, velocity, integrator: Integrator | None = None) -> Push:
+        """A push at `velocity` [m/s], by the integrator that serves the rig unless given."""
+        require_float64()
+        if integrator is None:
+            integrator = ClosedForm() if rig.affine else _diffrax()
+        integrator.check(rig)
+        return cls(rig, velocity, integrator)
 
     @property
     def once(self) -> bool:
@@ -97,6 +128,7 @@ class Push(NamedTuple):
         velocity = jnp.asarray(self.velocity, float)
         return State(
             segment=Segment(jnp.asarray(STUCK), zero, zero, velocity, zero, zero),
+            stuck_first=self.integrator.breakaway(self.rig, velocity) > 0,
             contacts=one,
             sticks=jnp.asarray(0),
             moved=no,
@@ -110,21 +142,16 @@ class Push(NamedTuple):
             cycles=jnp.asarray(0),
         )
 
-    def cycle(self, state: State, first: bool):
+    def cycle(self, state: State) -> tuple[State, list[Segment]]:
         """Once through the modes; also the five segments' starts, padded by repetition."""
         starts = [state.segment]
         steps = (self._stuck, self._closing, self._rebounding, self._free)
         for mode, step in enumerate(steps):
-            state = _select(
-                (state.segment.mode == mode) & ~state.over, step(state, first), state
-            )
+            state = _select((state.segment.mode == mode) & ~state.over, step(state), state)
             starts.append(state.segment)
-        state = state._replace(cycles=state.cycles + 1)
-        if first:
-            # Energy only falls: what the first rebound did not part, no later one will.
-            never = self.rig.pusher.stops_at_release() & ~state.lost
-            state = state._replace(endless=state.endless | never)
-        return state, starts
+        # Energy only falls: what the first rebound did not part, no later one will.
+        never = self.rig.pusher.stops_at_release() & ~state.lost
+        return state._replace(cycles=state.cycles + 1, endless=state.endless | never), starts
 
     def _left(self, segment):
         stop = self.rig.pusher.stop_time(self.velocity)
@@ -140,7 +167,7 @@ class Push(NamedTuple):
         y = jnp.where(stops, stroke, segment.y + v_p * jnp.where(v_p > 0, dt, 0.0))
         return Segment(jnp.asarray(mode), t, y, jnp.where(stops, 0.0, v_p), z, u)
 
-    def _stuck(self, state: State, first: bool) -> State:
+    def _stuck(self, state: State) -> State:
         s, rig = state.segment, self.rig
         z_b = self.integrator.breakaway(rig, s.v_p)
         left = self._left(s)
@@ -164,9 +191,9 @@ class Push(NamedTuple):
             peak_contact=jnp.where(higher, contacts, state.peak_contact),
         )
 
-    def _closing(self, state: State, first: bool) -> State:
+    def _closing(self, state: State) -> State:
         s = state.segment
-        leg = self.integrator.closing(self.rig, s.z, s.u, s.v_p, self._left(s), not first)
+        leg = self.integrator.closing(self.rig, s.z, s.u, s.v_p, self._left(s), not self.once)
         higher = leg.peak > state.peak
         mode = jnp.where(leg.event == HALT, STUCK, REBOUNDING)
         never = leg.event == NONE
@@ -178,7 +205,7 @@ class Push(NamedTuple):
             endless=state.endless | never,
         )
 
-    def _rebounding(self, state: State, first: bool) -> State:
+    def _rebounding(self, state: State) -> State:
         s = state.segment
         leg = self.integrator.rebounding(self.rig, s.z, s.u, s.v_p, self._left(s))
         turned = jnp.where(s.v_p > 0, CLOSING, STUCK)
@@ -198,7 +225,7 @@ class Push(NamedTuple):
             endless=state.endless | never,
         )
 
-    def _free(self, state: State, first: bool) -> State:
+    def _free(self, state: State) -> State:
         s = state.segment
         leg = self.integrator.free(self.rig, s.z, s.u, s.v_p, self._left(s), not self.once)
         caught = leg.event == CATCH
@@ -212,33 +239,28 @@ class Push(NamedTuple):
 
     def last_state(self) -> State:
         """Follow the push to its end."""
-        state, _ = self.cycle(self.start(), first=True)
         if self.once:
-            return state
-        return jax.lax.while_loop(
-            lambda s: ~s.over, lambda s: self.cycle(s, first=False)[0], state
-        )
+            return self.cycle(self.start())[0]
+        return jax.lax.while_loop(lambda s: ~s.over, lambda s: self.cycle(s)[0], self.start())
 
     def segments(self) -> tuple[State, Segment]:
         """Follow the push to its end; also all segments, stacked and padded with t = inf."""
-        state, starts = self.cycle(self.start(), first=True)
-        table = jax.tree.map(lambda *rows: jnp.stack(rows), *starts)
         if self.once:
-            return state, table
-        padding = 4 * MAX_CYCLES - 4
-        table = jax.tree.map(lambda a: jnp.pad(a, (0, padding)), table)
-        unused = jnp.arange(padding + 5) > 4
-        table = table._replace(t=jnp.where(unused, jnp.inf, table.t))
+            state, starts = self.cycle(self.start())
+            return state, jax.tree.map(lambda *rows: jnp.stack(rows), *starts)
+        start = self.start()
+        rows = 4 * MAX_CYCLES + 1
+        table = jax.tree.map(lambda a: jnp.zeros(rows, a.dtype).at[0].set(a), start.segment)
+        table = table._replace(t=table.t.at[1:].set(jnp.inf))
 
         def follow(carry):
             state, table = carry
-            row = 4 * state.cycles + 1
-            state, starts = self.cycle(state, first=False)
+            after, starts = self.cycle(state)
             new = jax.tree.map(lambda *rows: jnp.stack(rows), *starts[1:])
 
             def write(whole, part):
-                return jax.lax.dynamic_update_slice(whole, part, (row,))
+                return jax.lax.dynamic_update_slice(whole, part, (4 * state.cycles + 1,))
 
-            return state, jax.tree.map(write, table, new)
+            return after, jax.tree.map(write, table, new)
 
-        return jax.lax.while_loop(lambda c: ~c[0].over, follow, (state, table))
+        return jax.lax.while_loop(lambda c: ~c[0].over, follow, (start, table))

@@ -1,0 +1,305 @@
+"""mu_s from one measured quantity: every root in a bracket, or the reason why there is none.
+
+Each crossing is solved by a bracketed Newton iteration on the exact derivative (optimistix), in
+log mu_s. Where the pusher stops at the first loss of contact both F_p and d are monotone in
+mu_s and one bracket is enough; with a stroke the model is scanned for the crossings first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+
+from difffric import parameters
+from difffric.observables import observe
+from difffric.rig import Rig
+from difffric.units import to_um
+
+Quantity = Literal["peak_force", "sliding_distance"]
+
+BRACKET = (1e-3, 2.0)
+"""mu_s is sought here unless told otherwise: wider than any dry or oily metal."""
+
+FLAT = 1e-12
+"""A relative derivative below this determines nothing."""
+
+_SOLVED = 1e-10
+_GRID, _CHILDREN, _LEVELS = 96, 12, 6
+_CHUNK = 256
+
+
+class _Search(eqx.Module):
+    lower: jax.Array
+    upper: jax.Array
+    step: jax.Array
+
+
+class BracketedNewton(optx.AbstractRootFinder):
+    """Newton's iteration for a scalar function that changes sign once in a bracket.
+
+    A step that leaves the bracket, or starts where the function is flat, is replaced by
+    bisection, so it cannot diverge. Options: `lower` and `upper`, as for
+    `optimistix.Bisection`, and `rising`, whether the function is negative below the root.
+    """
+
+    atol: float = 1e-15
+    rtol: float = 0.0
+    norm: Any = jnp.abs
+
+    def init(self, fn, y, args, options, f_struct, aux_struct, tags):
+        lower, upper = (jnp.asarray(options[key], float) for key in ("lower", "upper"))
+        return _Search(lower, upper, jnp.asarray(jnp.inf))
+
+    def step(self, fn, y, args, options, state, tags):
+        (value, aux), (slope, _) = jax.jvp(lambda at: fn(at, args), (y,), (jnp.ones_like(y),))
+        below = (value < 0) == options["rising"]
+        lower = jnp.where(below, y, state.lower)
+        upper = jnp.where(below, state.upper, y)
+        flat = (slope == 0) | ~jnp.isfinite(slope)
+        new = y - value / jnp.where(flat, 1.0, slope)
+        step = jnp.abs(new - y)
+        inside = ~flat & (new >= lower) & (new <= upper)
+        # Newton's error is quadratic in its step: after one this small, nothing is left to do.
+        arrived = ~flat & ((inside & (step < 1e-9)) | (step <= 4e-16 * jnp.abs(y)))
+        new = jnp.where(inside | arrived, new, 0.5 * (lower + upper))
+        return new, _Search(lower, upper, jnp.where(arrived, 0.0, jnp.abs(new - y))), aux
+
+    def terminate(self, fn, y, args, options, state, tags):
+        done = state.step <= self.atol + self.rtol * jnp.abs(y)
+        return done, optx.RESULTS.successful
+
+    def postprocess(self, fn, y, aux, args, options, state, tags, result):
+        return y, aux, {}
+
+
+class Root(NamedTuple):
+    """Where the bracketed Newton iteration ended."""
+
+    mu_s: jax.Array
+    slope: jax.Array
+    """derivative of the quantity by mu_s [N or m]"""
+    solved: jax.Array
+    short: jax.Array
+    """at an end without a solution: the model's value is below the measured one"""
+
+
+def solve(rig: Rig, velocity, target, quantity: Quantity, bracket, rising, integrator) -> Root:
+    """The mu_s in the bracket at which the quantity takes the value `target` [N or m].
+
+    Traceable. Where the quantity does not exist it counts as less than any target.
+    """
+    lower, upper = jnp.log(bracket[0]), jnp.log(bracket[1])
+
+    def excess(log_mu_s, _):
+        mu_s = jnp.exp(log_mu_s)
+        seen = observe(parameters.with_values(rig, {"mu_s": mu_s}), velocity, integrator)
+        ratio = getattr(seen, quantity) / target
+        # d is close to a power of mu_s, F_p to a straight line: each its own scale for Newton.
+        value = jnp.log(ratio) if quantity == "sliding_distance" else ratio - 1.0
+        return jnp.where(jnp.isnan(ratio), -1.0, value)
+
+    solution = optx.root_find(
+        excess,
+        BracketedNewton(),
+        0.5 * (lower + upper),
+        options={"lower": lower, "upper": upper, "rising": rising},
+        max_steps=200,
+        throw=False,
+    )
+    at = solution.value
+    residual, slope = jax.jvp(lambda m: excess(m, None), (at,), (jnp.ones_like(at),))
+    mu_s = jnp.exp(at)
+    return Root(mu_s, slope * target / mu_s, jnp.abs(residual) < _SOLVED, residual < 0)
+
+
+@dataclass(frozen=True)
+class Inversion:
+    """mu_s from one measured quantity of one push."""
+
+    value: float | None
+    """mu_s; None where no mu_s in the bracket gives the measured value"""
+    slope: float | None = None
+    """derivative of the quantity by mu_s at the value [N or m]"""
+    alternatives: tuple[float, ...] = ()
+    """every mu_s in the bracket that gives the measured value, where there are several"""
+    reason: str | None = None
+
+    def standard_error(self, se: float | None) -> float | None:
+        """Standard error of mu_s from that of the measured quantity [N or m]."""
+        if self.value is None or se is None or not self.slope:
+            return None
+        return abs(se / self.slope)
+
+
+def invert(
+    rigs: Rig, velocity, target, quantity: Quantity, *, bracket=BRACKET, integrator=None
+) -> list[Inversion]:
+    """mu_s for each of n pushes from the measured quantity [N or m].
+
+    `rigs` is a rig spread over the pushes (`parameters.spread`), so that mass and stroke may
+    differ; `velocity` [m/s] and `target` have length n. NaN in `target`: not measured.
+    """
+    velocity, target = (np.asarray(a, float) for a in (velocity, target))
+    n = len(target)
+    measured = np.isfinite(target)
+    safe = np.where(measured, target, 1.0)
+    if rigs.pusher.stroke is None:
+        ends = np.log(bracket)
+        found = [(i, ends[0], ends[1], quantity == "peak_force") for i in range(n)]
+    else:
+        found = _crossings(rigs, velocity, safe, quantity, bracket, integrator)
+    roots: list[list[tuple[float, float]]] = [[] for _ in range(n)]
+    if found:
+        which, lower, upper, rising = (np.array(column) for column in zip(*found, strict=True))
+        solved = _solve_many(
+            *_pick((rigs, velocity, safe), which),
+            (np.exp(lower), np.exp(upper)),
+            rising,
+            quantity,
+            integrator,
+        )
+        for i, mu_s, slope, good in zip(
+            which, solved.mu_s, solved.slope, solved.solved, strict=True
+        ):
+            if good:
+                roots[i].append((float(mu_s), float(slope)))
+    ends = _ends(rigs, velocity, quantity, bracket, integrator)
+    return [
+        _answer(roots[i], target[i], quantity, bracket, [e[i] for e in ends])
+        if measured[i]
+        else Inversion(None, reason=f"no {_NAMES[quantity]} was measured")
+        for i in range(n)
+    ]
+
+
+_NAMES = {"peak_force": "peak force", "sliding_distance": "sliding distance"}
+
+
+def _answer(roots, target, quantity, bracket, ends) -> Inversion:
+    """One push's roots, or what its measured value breaks."""
+    determined = sorted(r for r in roots if abs(r[1] * r[0]) > FLAT * target)
+    if determined:
+        value, slope = determined[0]
+        several = tuple(mu_s for mu_s, _ in determined) if len(determined) > 1 else ()
+        return Inversion(value, slope, several)
+    where = f"for mu_s from {bracket[0]:g} to {bracket[1]:g}"
+    if roots:
+        return Inversion(None, reason="F_p does not depend on mu_s here: the peak is b v at touch")
+    least, most = ends
+
+    def show(value):
+        return f"{value:.4g} N" if quantity == "peak_force" else f"{to_um(value):.4g} µm"
+
+    name = "F_p" if quantity == "peak_force" else "d"
+    if np.isnan(most):
+        return Inversion(None, reason=f"the part is never released {where}")
+    if target > most:
+        bound = f"the most the model gives {where}: {show(most)}"
+        return Inversion(None, reason=f"{name} = {show(target)} is above {bound}")
+    if target < least:
+        bound = f"the least the model gives {where}: {show(least)}"
+        return Inversion(None, reason=f"{name} = {show(target)} is below {bound}")
+    return Inversion(None, reason=f"{name} = {show(target)} falls in a jump of the model {where}")
+
+
+def _pick(tree, index):
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf)[index], tree)
+
+
+def _in_chunks(function, arrays, n):
+    """A compiled batch function over n elements in chunks of fixed size, the last one padded, so
+    that one program serves all batches."""
+    parts = []
+    for start in range(0, n, _CHUNK):
+        index = np.minimum(np.arange(start, start + _CHUNK), n - 1)
+        parts.append(jax.tree.map(np.asarray, function(*_pick(arrays, index))))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:n], *parts)
+
+
+@eqx.filter_jit
+def _solve_batch(rigs, velocity, target, bracket, rising, quantity, integrator):
+    def one(rig, velocity, target, bracket, rising):
+        return solve(rig, velocity, target, quantity, bracket, rising, integrator)
+
+    return jax.vmap(one)(rigs, velocity, target, bracket, rising)
+
+
+def _solve_many(rigs, velocity, target, bracket, rising, quantity, integrator) -> Root:
+    arrays = (rigs, velocity, target, bracket, rising)
+    return _in_chunks(lambda *a: _solve_batch(*a, quantity, integrator), arrays, len(target))
+
+
+@eqx.filter_jit
+def _model_batch(rigs, velocity, mu_s, quantity, integrator):
+    def one(rig, velocity, mu_s):
+        def measured(value):
+            seen = observe(parameters.with_values(rig, {"mu_s": value}), velocity, integrator)
+            return getattr(seen, quantity), seen.kind
+
+        value, slope, kind = jax.jvp(measured, (mu_s,), (jnp.ones_like(mu_s),), has_aux=True)
+        return value, slope, kind
+
+    return jax.vmap(one)(rigs, velocity, mu_s)
+
+
+def _model(rigs, velocity, log_mu_s, quantity, integrator):
+    """(value, derivative by log mu_s, kind) for rows of log mu_s, one row a push."""
+    rows, columns = log_mu_s.shape
+    which = np.repeat(np.arange(rows), columns)
+    mu_s = np.exp(log_mu_s.ravel())
+    arrays = (*_pick((rigs, velocity), which), mu_s)
+    out = _in_chunks(lambda *a: _model_batch(*a, quantity, integrator), arrays, mu_s.size)
+    value, slope, kind = (a.reshape(rows, columns) for a in out)
+    return value, slope * np.exp(log_mu_s), kind
+
+
+def _ends(rigs, velocity, quantity, bracket, integrator):
+    """The least and the most the model gives over the bracket, for each push."""
+    grid = np.linspace(*np.log(bracket), _GRID)
+    grid = np.broadcast_to(grid, (len(velocity), _GRID))
+    value, _, _ = _model(rigs, velocity, grid, quantity, integrator)
+    nowhere = np.isnan(value).all(axis=1)
+    least = np.where(nowhere, np.nan, np.min(np.where(np.isnan(value), np.inf, value), axis=1))
+    most = np.where(nowhere, np.nan, np.max(np.where(np.isnan(value), -np.inf, value), axis=1))
+    return least, most
+
+
+def _crossings(rigs, velocity, target, quantity, bracket, integrator):
+    """Intervals (push, lower, upper, rising) of log mu_s in which the model crosses the target.
+
+    Intervals in which the kind of the push changes, the value ceases to exist, or the slope
+    turns towards the target are subdivided, six levels deep: to 1e-8 of the bracket.
+    """
+    found = []
+    which = np.arange(len(target))
+    points = np.broadcast_to(np.linspace(*np.log(bracket), _GRID), (len(target), _GRID))
+    for level in range(_LEVELS):
+        value, slope, kind = _model(
+            _pick(rigs, which), velocity[which], points, quantity, integrator
+        )
+        excess = value / target[which, None] - 1.0
+        a, b = excess[:, :-1], excess[:, 1:]
+        sa, sb = slope[:, :-1], slope[:, 1:]
+        exists = np.isfinite(a) & np.isfinite(b)
+        crosses = exists & ((a < 0) != (b < 0))
+        # Same sign at both ends, but heading for zero from both: it may touch between.
+        dips = exists & (a * b > 0) & (a * sa < 0) & (b * sb > 0)
+        edge = (kind[:, :-1] != kind[:, 1:]) & (np.isfinite(a) | np.isfinite(b))
+        divide = (edge | dips) if level < _LEVELS - 1 else np.zeros_like(edge)
+        for row, column in np.argwhere(crosses & ~divide):
+            interval = (points[row, column], points[row, column + 1])
+            found.append((which[row], *interval, bool(a[row, column] < 0)))
+        rows, columns = np.nonzero(divide)
+        if not len(rows):
+            break
+        lower, upper = points[rows, columns], points[rows, columns + 1]
+        which = which[rows]
+        share = np.linspace(0.0, 1.0, _CHILDREN + 1)
+        points = lower[:, None] + share * (upper - lower)[:, None]
+    return found

@@ -1,0 +1,94 @@
+"""Exact derivatives of F_p and d in every parameter, and how far the next regime is."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from difffric import parameters
+from difffric.observables import Observables, observe
+from difffric.rig import Rig
+
+VELOCITY = "velocity_m_per_s"
+NEAR_EDGE = 1e-3
+"""A margin below this makes derivatives one-sided in the answer."""
+
+
+class Sensitivity(NamedTuple):
+    """Observables of one push and the derivatives of F_p and d by parameter name [SI]."""
+
+    observables: Observables
+    peak_force: dict[str, jax.Array]
+    sliding_distance: dict[str, jax.Array]
+
+
+def sensitivity(rig: Rig, velocity, integrator=None) -> Sensitivity:
+    """F_p, d and their exact derivatives, in one forward-mode pass. Traceable.
+
+    NaN stands where d does not exist.
+    """
+    point = {**parameters.values(rig), VELOCITY: velocity}
+    point = {name: jnp.asarray(value, float) for name, value in point.items()}
+
+    def measured(point):
+        rest = {name: value for name, value in point.items() if name != VELOCITY}
+        seen = observe(parameters.with_values(rig, rest), point[VELOCITY], integrator)
+        return (seen.peak_force, seen.sliding_distance), seen
+
+    (dF, dd), seen = jax.jacfwd(measured, has_aux=True)(point)
+    exists = ~jnp.isnan(seen.sliding_distance)
+    dd = {name: jnp.where(exists, value, jnp.nan) for name, value in dd.items()}
+    return Sensitivity(seen, dF, dd)
+
+
+class Margin(NamedTuple):
+    """The relative change of mu_s to the nearest regime change, and the side on which
+    derivatives hold: `both`, or `left`/`right` (smaller/larger mu_s) within 1e-3 of it."""
+
+    margin: float
+    side: str
+
+
+def regime_margin(rig: Rig, velocity, integrator=None) -> Margin:
+    """Distance to the nearest mu_s at which the push goes another way.
+
+    Counted are the regime, whether the part sticks first, the number of contacts and of
+    sticks, and the contact in which the peak falls: wherever a derivative may jump. Found by
+    a scan over mu_s (factor 0.001 to 10, 48 points a side) refined to 1e-7; a window of
+    another regime narrower than the scan's step (a factor 1.4 of the distance) is missed.
+    Infinite where the scan finds no change.
+    """
+    mu_s = float(parameters.values(rig)["mu_s"])
+    here = int(_kinds(rig, velocity, integrator, np.full(96, mu_s))[0])
+    steps = [np.geomspace(1e-8, top, 48) for top in (0.999, 9.0)]
+    found = [np.inf, np.inf]
+    inside = [0.0, 0.0]
+    for _ in range(5):
+        deltas = np.concatenate([-steps[0], steps[1]])
+        differ = np.split(_kinds(rig, velocity, integrator, mu_s * (1 + deltas)) != here, 2)
+        for side in (0, 1):
+            if not differ[side].any():
+                continue
+            first = int(np.argmax(differ[side]))
+            inside[side] = steps[side][first - 1] if first else inside[side]
+            found[side] = steps[side][first]
+            steps[side] = np.linspace(inside[side], found[side], 49)[1:]
+    margin = min(found)
+    side = "both" if margin >= NEAR_EDGE else ("right" if found[0] < found[1] else "left")
+    return Margin(margin, side)
+
+
+@eqx.filter_jit
+def _kinds_of(rig, velocity, integrator, mu_s):
+    def kind(value):
+        return observe(parameters.with_values(rig, {"mu_s": value}), velocity, integrator).kind
+
+    return jax.vmap(kind)(mu_s)
+
+
+def _kinds(rig, velocity, integrator, mu_s):
+    return np.asarray(_kinds_of(rig, velocity, integrator, jnp.asarray(mu_s)))
