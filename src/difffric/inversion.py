@@ -7,7 +7,7 @@ mu_s and one bracket is enough; with a stroke the model is scanned for the cross
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
@@ -128,13 +128,13 @@ class Inversion:
     """derivative of the quantity by mu_s at the value [N or m]"""
     alternatives: tuple[float, ...] = ()
     """every mu_s in the bracket that gives the measured value, where there are several"""
+    slopes: tuple[float, ...] = ()
+    """the derivative at each alternative [N or m]"""
     reason: str | None = None
 
-    def standard_error(self, se: float | None) -> float | None:
-        """Standard error of mu_s from that of the measured quantity [N or m]."""
-        if self.value is None or se is None or not self.slope:
-            return None
-        return abs(se / self.slope)
+    def at(self, index: int) -> Inversion:
+        """The same, with another of the alternatives as the value."""
+        return replace(self, value=self.alternatives[index], slope=self.slopes[index])
 
 
 def invert(
@@ -169,9 +169,13 @@ def invert(
         ):
             if good:
                 roots[i].append((float(mu_s), float(slope)))
-    ends = _ends(rigs, velocity, quantity, bracket, integrator)
+    ends: dict[int, tuple[float, float]] = {}
+    rootless = np.array([i for i in range(n) if measured[i] and not roots[i]], int)
+    if len(rootless):
+        least_most = _ends(*_pick((rigs, velocity), rootless), quantity, bracket, integrator)
+        ends = dict(zip(rootless.tolist(), zip(*least_most, strict=True), strict=True))
     return [
-        _answer(roots[i], target[i], quantity, bracket, [e[i] for e in ends])
+        _answer(roots[i], target[i], quantity, bracket, ends.get(i))
         if measured[i]
         else Inversion(None, reason=f"no {_NAMES[quantity]} was measured")
         for i in range(n)
@@ -186,8 +190,9 @@ def _answer(roots, target, quantity, bracket, ends) -> Inversion:
     determined = sorted(r for r in roots if abs(r[1] * r[0]) > FLAT * target)
     if determined:
         value, slope = determined[0]
-        several = tuple(mu_s for mu_s, _ in determined) if len(determined) > 1 else ()
-        return Inversion(value, slope, several)
+        if len(determined) == 1:
+            return Inversion(value, slope)
+        return Inversion(value, slope, *zip(*determined, strict=True))
     where = f"for mu_s from {bracket[0]:g} to {bracket[1]:g}"
     if roots:
         return Inversion(None, reason="F_p does not depend on mu_s here: the peak is b v at touch")

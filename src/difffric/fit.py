@@ -1,0 +1,252 @@
+"""Calibration: the rig's parameters from pushes whose friction is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from numpy.typing import NDArray
+
+from difffric import parameters
+from difffric.errors import InputError, NumericalError
+from difffric.observables import observe
+from difffric.pushes import Pushes
+from difffric.rig import Rig
+
+FREE = ("k_N_per_m", "b_N_s_per_m", "k_v_N_s_per_m")
+"""What a calibration with known mu_s determines by default."""
+
+_FACTORS = (1 / 3, 1.0, 3.0)
+_STEPS = 200
+_UNKNOWN = 1.0
+"""A standard error of the logarithm above this says that the data do not determine the value."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A calibrated rig, with what the data say of each parameter.
+
+    `covariance` is that of the logarithms of the free parameters. It holds for the spreads
+    `spread_force` [N] and `spread_distance` [m], which are estimated from the residuals, so
+    that the reduced chi-square is 1 by construction, unless standard errors were given.
+    """
+
+    rig: Rig
+    free: tuple[str, ...]
+    covariance: NDArray
+    spread_force: float
+    spread_distance: float
+    reduced_chi2: float
+    converged: bool
+    starts_at_optimum: tuple[int, int]
+    """starts that reached the optimum, of how many"""
+    peak_force: NDArray
+    """the calibrated model's F_p [N]"""
+    sliding_distance: NDArray
+    """the calibrated model's d [m], NaN where it does not exist"""
+
+    def value(self, name: str) -> float:
+        """A parameter's value [SI]."""
+        return float(parameters.values(self.rig)[name])  # type: ignore[arg-type]
+
+    def standard_error(self, name: str) -> float:
+        """A free parameter's standard error [SI]."""
+        i = self.free.index(name)
+        return self.value(name) * float(np.sqrt(self.covariance[i, i]))
+
+    @property
+    def correlation(self) -> NDArray:
+        """Correlations of the free parameters."""
+        s = np.sqrt(np.diag(self.covariance))
+        return self.covariance / np.outer(s, s)
+
+    @property
+    def not_identifiable(self) -> list[dict]:
+        """Free parameters that these data do not determine, with the reason."""
+        out = []
+        for i, name in enumerate(self.free):
+            relative = float(np.sqrt(self.covariance[i, i]))
+            if not relative < _UNKNOWN:
+                reason = f"the data allow it to change by a factor {np.exp(min(relative, 50.0)):.1f}"
+                out.append({"parameters": [name], "reason": reason})
+        return out
+
+    def as_dict(self) -> dict:
+        """The calibration as `result.json` holds it."""
+        correlation = self.correlation
+        return {
+            "parameters": {
+                name: {"value": self.value(name), "standard_error": self.standard_error(name)}
+                for name in self.free
+            },
+            "correlation": {
+                a: {b: float(correlation[i, j]) for j, b in enumerate(self.free) if j > i}
+                for i, a in enumerate(self.free[:-1])
+            },
+            "not_identifiable": self.not_identifiable,
+            "reduced_chi2": self.reduced_chi2,
+            "converged": self.converged,
+            "spread_peak_force_N": self.spread_force,
+            "spread_sliding_distance_m": self.spread_distance,
+        }
+
+
+def rigs_of(rig: Rig, pushes: Pushes) -> Rig:
+    """The rig spread over the pushes, each with its own mass and stroke where they say so."""
+    rigs = parameters.spread(rig, len(pushes))
+    mass = jnp.where(jnp.isnan(pushes.mass), rigs.mass, pushes.mass)
+    rigs = parameters.with_values(rigs, {"mass_kg": mass})
+    if not np.isnan(pushes.stroke).all():
+        default = jnp.inf if rigs.pusher.stroke is None else rigs.pusher.stroke
+        stroke = jnp.where(jnp.isnan(pushes.stroke), default, pushes.stroke)
+        rigs = parameters.with_stroke(rigs, stroke)
+    return rigs
+
+
+@eqx.filter_jit
+def _predict(rigs, velocity, free, log_values, integrator):
+    """(F_p, d) of all pushes with the free parameters at exp(log_values)."""
+
+    def one(rig, velocity):
+        new = {name: jnp.exp(log_values[i]) for i, name in enumerate(free)}
+        seen = observe(parameters.with_values(rig, new), velocity, integrator)
+        return seen.peak_force, seen.sliding_distance
+
+    return jax.vmap(one)(rigs, velocity)
+
+
+@eqx.filter_jit
+def _solve(rigs, velocity, measured, spreads, free, starts, integrator):
+    """Levenberg-Marquardt from every start at once; also residuals and Jacobian at each end."""
+
+    def residuals(log_values, _):
+        return _residuals(rigs, velocity, measured, spreads, free, log_values, integrator)
+
+    def one(start):
+        solution = optx.least_squares(
+            residuals,
+            optx.LevenbergMarquardt(rtol=1e-10, atol=1e-10),
+            start,
+            max_steps=_STEPS,
+            throw=False,
+        )
+        ok = solution.result == optx.RESULTS.successful
+        return solution.value, residuals(solution.value, None), ok
+
+    ends, r, ok = jax.vmap(one)(starts)
+    best = jnp.argmin(jnp.where(jnp.isfinite(r).all(1), jnp.sum(r**2, axis=1), jnp.inf))
+    return ends, jnp.sum(r**2, axis=1), ok, r[best], jax.jacfwd(residuals)(ends[best], None)
+
+
+def _residuals(rigs, velocity, measured, spreads, free, log_values, integrator):
+    """(measured - model) / spread, forces first; 0 where nothing was measured.
+
+    Where the model's part never leaves the tip it slides no distance: d counts as 0.
+    """
+    F, d = _predict(rigs, velocity, free, log_values, integrator)
+    both = jnp.stack([F, jnp.where(jnp.isnan(d), 0.0, d)])
+    r = (measured - both) / spreads
+    return jnp.where(jnp.isnan(measured), 0.0, r).ravel()
+
+
+def fit(
+    rig: Rig, pushes: Pushes, *, free: Sequence[str] = FREE, integrator=None
+) -> Fit:
+    """Calibrate the free parameters of a rig on pushes whose mu_s is known (`mu_s_gauge`).
+
+    Least squares in log-parameters by optimistix's Levenberg-Marquardt on exact forward-mode
+    Jacobians, from the rig's values and factors of 3 about k and b. Where no standard errors
+    are given, the spreads of F_p and of d are estimated with the rest (restricted maximum
+    likelihood: each squared sum over its own degrees of freedom, repeated until it stands).
+
+    Raises `InputError` without a gauge or with fewer measurements than free parameters, and
+    `NumericalError` where no start gives a finite misfit.
+    """
+    free = tuple(free)
+    if np.isnan(pushes.mu_s_gauge).any():
+        raise InputError("fit: mu_s_gauge is missing in at least one push; it is needed here")
+    rigs = rigs_of(rig, pushes)
+    rigs = parameters.with_values(rigs, {"mu_s": jnp.asarray(pushes.mu_s_gauge)})
+    measured = np.stack([pushes.peak_force, pushes.sliding_distance])
+    given = np.stack([pushes.peak_force_se, pushes.sliding_distance_se])
+    present = np.isfinite(measured)
+    if present.sum() <= len(free):
+        raise InputError(f"fit: {present.sum()} measurements cannot determine {len(free)} values")
+    velocity = jnp.asarray(pushes.velocity)
+    values = parameters.values(rig)
+    centre = np.log([max(float(values[name]), 1e-3) for name in free])  # type: ignore[arg-type]
+    starts = _starts(free, centre)
+
+    spread = np.array([np.nanstd(row) if p.any() else 1.0 for row, p in zip(measured, present)])
+    spread = np.maximum(0.05 * spread, 1e-12)
+    settled = False
+    for attempt in range(50):
+        # All starts at once, then the best one only (in the same program) while spreads settle,
+        # and all of them again to see how many arrive.
+        starting = starts if attempt == 0 or settled else jnp.broadcast_to(best_end, starts.shape)
+        spreads = np.where(np.isnan(given), spread[:, None], given)
+        solution = _solve(rigs, velocity, measured, spreads, free, starting, integrator)
+        ends, chi2, ok, r, jacobian = map(np.asarray, solution)
+        if not np.isfinite(chi2).any():
+            raise NumericalError("fit: no start gives a finite misfit")
+        best = int(np.nanargmin(chi2))
+        best_end = jnp.asarray(ends[best])
+        if settled:
+            break
+        new = _spreads(r, jacobian, present, spreads, spread, given)
+        settled = np.allclose(new, spread, rtol=1e-5)
+        spread = new
+
+    information = jacobian.T @ jacobian
+    F, d = _predict(rigs, velocity, free, jnp.asarray(ends[best]), integrator)
+    new = {name: float(np.exp(value)) for name, value in zip(free, ends[best], strict=True)}
+    reached = int(np.sum(np.abs(chi2 - chi2[best]) < 1e-6 * max(chi2[best], 1.0)))
+    return Fit(
+        rig=parameters.with_values(rig, new),
+        free=free,
+        covariance=_inverse(information),
+        spread_force=float(spread[0]),
+        spread_distance=float(spread[1]),
+        reduced_chi2=float(chi2[best] / (present.sum() - len(free))),
+        converged=bool(ok[best]) and settled,
+        starts_at_optimum=(reached, len(chi2)),
+        peak_force=np.asarray(F),
+        sliding_distance=np.asarray(d),
+    )
+
+
+def _starts(free, centre):
+    """The rig's own values, and factors of 3 about its stiffness and damping."""
+    grid = [centre]
+    for name in ("k_N_per_m", "b_N_s_per_m"):
+        if name in free:
+            shift = np.eye(len(free))[free.index(name)]
+            grid = [g + np.log(f) * shift for g in grid for f in _FACTORS]
+    return jnp.asarray(np.stack([centre, *grid]))
+
+
+def _spreads(r, jacobian, present, spreads, spread, given):
+    """New spreads of F_p and d: squared residuals over the degrees of freedom they keep."""
+    leverage = np.einsum("ij,jk,ik->i", jacobian, _inverse(jacobian.T @ jacobian), jacobian)
+    misfit = (r.reshape(spreads.shape) * spreads) ** 2
+    leverage = leverage.reshape(spreads.shape)
+    new = spread.copy()
+    for i in range(2):
+        use = present[i] & np.isnan(given[i])
+        if use.any():
+            freedom = max(use.sum() - leverage[i][use].sum(), 1.0)
+            new[i] = np.sqrt(misfit[i][use].sum() / freedom)
+    return np.maximum(new, 1e-12)
+
+
+def _inverse(information):
+    """Inverse information; infinite variance along what is not determined at all."""
+    values, vectors = np.linalg.eigh(information)
+    known = values > 1e-12 * values.max()
+    inverse = np.where(known, 1.0 / np.where(known, values, 1.0), 1e12)
+    return (vectors * inverse) @ vectors.T

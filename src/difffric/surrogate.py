@@ -1,0 +1,116 @@
+"""The paper's way: closed-form surrogates of F_p and d, equations (3) to (6), and their inverses.
+
+Speeds in m/s, forces in N, distances in m outside; the coefficients are the paper's, in N,
+mm/min and µm, because that is how they are printed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from difffric.units import from_um, to_mm_min, to_um
+
+
+@dataclass(frozen=True)
+class ForceSurrogate:
+    """Equation (3): `F_p = C_v v + C_mu mu_s`; its inverse is equation (4)."""
+
+    C_v: float
+    """[N / (mm/min)]"""
+    C_mu: float
+    """[N]"""
+
+    def peak_force(self, velocity, mu_s):
+        """F_p [N]."""
+        return self.C_v * to_mm_min(velocity) + self.C_mu * mu_s
+
+    def mu_s(self, velocity, peak_force):
+        """Equation (4)."""
+        return (peak_force - self.C_v * to_mm_min(velocity)) / self.C_mu
+
+    def slope(self, velocity, mu_s):
+        """dF_p/dmu_s [N]."""
+        return self.C_mu * np.ones_like(velocity * mu_s)
+
+    @classmethod
+    def fitted(cls, velocity, mu_s, peak_force) -> ForceSurrogate:
+        """Least squares over all points given (NaN left out)."""
+        v, mu, F = _finite(to_mm_min(velocity), mu_s, peak_force)
+        (C_v, C_mu), *_ = np.linalg.lstsq(np.stack([v, mu], axis=1), F, rcond=None)
+        return cls(float(C_v), float(C_mu))
+
+
+@dataclass(frozen=True)
+class DistanceSurrogate:
+    """Equation (5): `d - d_0 = A (mu_s - mu_0)^2`, `d_0 = C_1 v^k1`, `A = C_2 v^k2`; its
+    inverse is equation (6), on the branch mu_s < mu_0."""
+
+    mu_0: float
+    C_1: float
+    k1: float
+    C_2: float
+    k2: float
+
+    def sliding_distance(self, velocity, mu_s):
+        """d [m]."""
+        d_0, A = self._coefficients(velocity)
+        return from_um(d_0 + A * (mu_s - self.mu_0) ** 2)
+
+    def mu_s(self, velocity, sliding_distance):
+        """Equation (6); NaN where d is below d_0, the least that (5) gives."""
+        d_0, A = self._coefficients(velocity)
+        square = np.asarray((to_um(sliding_distance) - d_0) / A)
+        return self.mu_0 - np.sqrt(np.where(square >= 0, square, np.nan))
+
+    def slope(self, velocity, mu_s):
+        """dd/dmu_s [m]."""
+        return from_um(2 * self._coefficients(velocity)[1] * (mu_s - self.mu_0))
+
+    def _coefficients(self, velocity):
+        v = to_mm_min(velocity)
+        return self.C_1 * v**self.k1, self.C_2 * v**self.k2
+
+    @classmethod
+    def fitted(cls, velocity, mu_s, sliding_distance) -> DistanceSurrogate:
+        """Least squares over all points given (NaN left out), from the published values."""
+        v, mu, d = _finite(velocity, mu_s, sliding_distance)
+
+        def surrogate(p):
+            return cls(p[0], float(np.exp(p[1])), p[2], float(np.exp(p[3])), p[4])
+
+        def misfit(p):
+            return to_um(surrogate(p).sliding_distance(v, mu) - d)
+
+        P = PUBLISHED_DISTANCE
+        start = [P.mu_0, np.log(P.C_1), P.k1, np.log(P.C_2), P.k2]
+        p = least_squares(misfit, start, x_scale=[0.1, 1.0, 0.1, 1.0, 0.1], max_nfev=2000).x
+        return surrogate([float(x) for x in p])
+
+
+def weighted(mu_force, mu_dist, dF, dd, ratio):
+    """Equation (7): mu_s* and its weights (force, distance), which sum to one.
+
+    `dF` [N] and `dd` [m] are the derivatives by mu_s, of which magnitudes are meant (dd is
+    negative); `ratio` is the ratio of the ranges of F_p and d [N/m].
+    """
+    w_F, w_d = np.abs(dF), np.abs(dd) * ratio
+    force = w_F / (w_F + w_d)
+    return force * mu_force + (1 - force) * mu_dist, force, 1 - force
+
+
+def _finite(*columns):
+    arrays = np.broadcast_arrays(*(np.asarray(c, float) for c in columns))
+    flat = np.stack([a.ravel() for a in arrays])
+    return flat[:, np.isfinite(flat).all(axis=0)]
+
+
+PUBLISHED_FORCE = ForceSurrogate(C_v=0.0529, C_mu=146.2)
+"""Equation (4) as printed."""
+
+PUBLISHED_DISTANCE = DistanceSurrogate(
+    mu_0=0.3415, C_1=0.00041, k1=1.8997, C_2=0.07379, k2=1.6428
+)
+"""Equation (6) as printed."""
