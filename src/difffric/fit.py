@@ -22,7 +22,10 @@ FREE = ("k_N_per_m", "b_N_s_per_m", "k_v_N_s_per_m")
 """What a calibration with known mu_s determines by default."""
 
 _FACTORS = (1 / 3, 1.0, 3.0)
-_STEPS = 200
+_STEPS, _ROUNDS = 100, 20
+_MAY_VANISH = ("b_N_s_per_m", "k_v_N_s_per_m")
+_NOTHING = 1e-3
+"""A parameter whose e-fold change moves no residual by more than this many spreads is gone."""
 _UNKNOWN = 1.0
 """A standard error of the logarithm above this says that the data do not determine the value."""
 
@@ -38,6 +41,8 @@ class Fit:
 
     rig: Rig
     free: tuple[str, ...]
+    vanished: tuple[str, ...]
+    """free parameters that went to their lower bound, zero; their covariance is zero"""
     covariance: NDArray
     spread_force: float
     spread_distance: float
@@ -54,25 +59,32 @@ class Fit:
         """A parameter's value [SI]."""
         return float(parameters.values(self.rig)[name])  # type: ignore[arg-type]
 
-    def standard_error(self, name: str) -> float:
-        """A free parameter's standard error [SI]."""
+    def standard_error(self, name: str) -> float | None:
+        """A free parameter's standard error [SI]; None at its bound."""
+        if name in self.vanished:
+            return None
         i = self.free.index(name)
         return self.value(name) * float(np.sqrt(self.covariance[i, i]))
 
     @property
     def correlation(self) -> NDArray:
-        """Correlations of the free parameters."""
+        """Correlations of the free parameters; 0 for one at its bound."""
         s = np.sqrt(np.diag(self.covariance))
-        return self.covariance / np.outer(s, s)
+        s = np.where(s > 0, s, np.inf)
+        return self.covariance / np.outer(s, s) + np.diag(np.isinf(s).astype(float))
 
     @property
     def not_identifiable(self) -> list[dict]:
         """Free parameters that these data do not determine, with the reason."""
         out = []
         for i, name in enumerate(self.free):
+            if name in self.vanished:
+                out.append({"parameters": [name], "reason": "at its lower bound, zero"})
+                continue
             relative = float(np.sqrt(self.covariance[i, i]))
             if not relative < _UNKNOWN:
-                reason = f"the data allow it to change by a factor {np.exp(min(relative, 50.0)):.1f}"
+                factor = np.exp(min(relative, 50.0))
+                reason = f"flat: one standard error is a factor of {factor:.3g}"
                 out.append({"parameters": [name], "reason": reason})
         return out
 
@@ -109,11 +121,11 @@ def rigs_of(rig: Rig, pushes: Pushes) -> Rig:
 
 
 @eqx.filter_jit
-def _predict(rigs, velocity, free, log_values, integrator):
-    """(F_p, d) of all pushes with the free parameters at exp(log_values)."""
+def _predict(rigs, velocity, free, log_values, active, integrator):
+    """(F_p, d) of all pushes with the free parameters at exp(log_values), or gone."""
 
     def one(rig, velocity):
-        new = {name: jnp.exp(log_values[i]) for i, name in enumerate(free)}
+        new = {n: jnp.where(active[i], jnp.exp(log_values[i]), 0.0) for i, n in enumerate(free)}
         seen = observe(parameters.with_values(rig, new), velocity, integrator)
         return seen.peak_force, seen.sliding_distance
 
@@ -121,11 +133,16 @@ def _predict(rigs, velocity, free, log_values, integrator):
 
 
 @eqx.filter_jit
-def _solve(rigs, velocity, measured, spreads, free, starts, integrator):
-    """Levenberg-Marquardt from every start at once; also residuals and Jacobian at each end."""
+def _solve(rigs, velocity, measured, spreads, free, active, starts, integrator):
+    """Levenberg-Marquardt from every start at once; also residuals and Jacobian at the best
+    end. Which parameters are active is a run-time choice: one program serves all."""
 
     def residuals(log_values, _):
-        return _residuals(rigs, velocity, measured, spreads, free, log_values, integrator)
+        F, d = _predict(rigs, velocity, free, log_values, active, integrator)
+        # Where the model's part never leaves the tip it slides no distance: d counts as 0.
+        both = jnp.stack([F, jnp.where(jnp.isnan(d), 0.0, d)])
+        r = (measured - both) / spreads
+        return jnp.where(jnp.isnan(measured), 0.0, r).ravel()
 
     def one(start):
         solution = optx.least_squares(
@@ -135,23 +152,12 @@ def _solve(rigs, velocity, measured, spreads, free, starts, integrator):
             max_steps=_STEPS,
             throw=False,
         )
-        ok = solution.result == optx.RESULTS.successful
-        return solution.value, residuals(solution.value, None), ok
+        chi2 = jnp.sum(residuals(solution.value, None) ** 2)
+        return solution.value, chi2, solution.result == optx.RESULTS.successful
 
-    ends, r, ok = jax.vmap(one)(starts)
-    best = jnp.argmin(jnp.where(jnp.isfinite(r).all(1), jnp.sum(r**2, axis=1), jnp.inf))
-    return ends, jnp.sum(r**2, axis=1), ok, r[best], jax.jacfwd(residuals)(ends[best], None)
-
-
-def _residuals(rigs, velocity, measured, spreads, free, log_values, integrator):
-    """(measured - model) / spread, forces first; 0 where nothing was measured.
-
-    Where the model's part never leaves the tip it slides no distance: d counts as 0.
-    """
-    F, d = _predict(rigs, velocity, free, log_values, integrator)
-    both = jnp.stack([F, jnp.where(jnp.isnan(d), 0.0, d)])
-    r = (measured - both) / spreads
-    return jnp.where(jnp.isnan(measured), 0.0, r).ravel()
+    ends, chi2, ok = jax.vmap(one)(starts)
+    best = ends[jnp.argmin(jnp.where(jnp.isfinite(chi2), chi2, jnp.inf))]
+    return ends, chi2, ok, residuals(best, None), jax.jacfwd(residuals)(best, None)
 
 
 def fit(
@@ -184,40 +190,51 @@ def fit(
 
     spread = np.array([np.nanstd(row) if p.any() else 1.0 for row, p in zip(measured, present)])
     spread = np.maximum(0.05 * spread, 1e-12)
-    settled = False
-    for attempt in range(50):
-        # All starts at once, then the best one only (in the same program) while spreads settle,
-        # and all of them again to see how many arrive.
-        starting = starts if attempt == 0 or settled else jnp.broadcast_to(best_end, starts.shape)
+    active, settled = np.ones(len(free), bool), False
+    for attempt in range(_ROUNDS):
+        # All starts at once, then the best one only (in the same program) while the spreads
+        # settle, and all of them again to see how many arrive.
+        every = attempt == 0 or settled or attempt == _ROUNDS - 1
+        starting = starts if every else jnp.broadcast_to(best_end, starts.shape)
         spreads = np.where(np.isnan(given), spread[:, None], given)
-        solution = _solve(rigs, velocity, measured, spreads, free, starting, integrator)
+        solution = _solve(rigs, velocity, measured, spreads, free, active, starting, integrator)
         ends, chi2, ok, r, jacobian = map(np.asarray, solution)
         if not np.isfinite(chi2).any():
             raise NumericalError("fit: no start gives a finite misfit")
         best = int(np.nanargmin(chi2))
         best_end = jnp.asarray(ends[best])
+        gone = _gone(free, jacobian) & active
+        active = active & ~gone
         if settled:
             break
         new = _spreads(r, jacobian, present, spreads, spread, given)
-        settled = np.allclose(new, spread, rtol=1e-5)
+        settled = np.allclose(new, spread, rtol=1e-5) and not gone.any()
         spread = new
 
-    information = jacobian.T @ jacobian
-    F, d = _predict(rigs, velocity, free, jnp.asarray(ends[best]), integrator)
-    new = {name: float(np.exp(value)) for name, value in zip(free, ends[best], strict=True)}
+    F, d = _predict(rigs, velocity, free, best_end, active, integrator)
+    values = {n: float(np.exp(x)) * bool(on) for n, x, on in zip(free, best_end, active)}
     reached = int(np.sum(np.abs(chi2 - chi2[best]) < 1e-6 * max(chi2[best], 1.0)))
+    covariance = np.zeros((len(free), len(free)))
+    covariance[np.ix_(active, active)] = _inverse(jacobian[:, active].T @ jacobian[:, active])
     return Fit(
-        rig=parameters.with_values(rig, new),
+        rig=parameters.with_values(rig, values),
         free=free,
-        covariance=_inverse(information),
+        vanished=tuple(name for name, on in zip(free, active, strict=True) if not on),
+        covariance=covariance,
         spread_force=float(spread[0]),
         spread_distance=float(spread[1]),
-        reduced_chi2=float(chi2[best] / (present.sum() - len(free))),
+        reduced_chi2=float(chi2[best] / (present.sum() - active.sum())),
         converged=bool(ok[best]) and settled,
         starts_at_optimum=(reached, len(chi2)),
         peak_force=np.asarray(F),
         sliding_distance=np.asarray(d),
     )
+
+
+def _gone(free, jacobian):
+    """Which parameters have run towards zero so far that the data no longer feel them."""
+    unfelt = np.abs(jacobian).max(axis=0) < _NOTHING
+    return unfelt & np.array([name in _MAY_VANISH for name in free])
 
 
 def _starts(free, centre):

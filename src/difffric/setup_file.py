@@ -13,16 +13,15 @@ import os
 import tomllib
 import uuid
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
-from decimal import Decimal, InvalidOperation
+from dataclasses import asdict, dataclass, field
+from decimal import Decimal
 from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any
 
-import jax
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError
-from pydantic import create_model, model_validator
+import pydantic
+from jax.core import Tracer
 from pydantic_core import PydanticCustomError
 
 from difffric import units
@@ -37,31 +36,31 @@ from difffric.sensors import ForceSensor, Probe
 
 @dataclass(frozen=True)
 class Range:
-    """What a number [SI] may be; `hull` is what its bounds may be, where that differs."""
+    """What a number may be; besides, it must be finite."""
 
     words: str
     holds: Callable[[Any], Any]
-    hull: Range | None = None
 
-    def expected(self, finite=True) -> str:
-        return f"a {'' if finite else 'finite '}number {self.words}"
+    def expected(self, found) -> str:
+        """The range in words, for a message on what was found instead."""
+        return f"expected a {'finite ' if np.isinf(found) else ''}number {self.words}".rstrip()
 
 
+ANY = Range("", lambda x: x == x)
 NOT_NEGATIVE = Range(">= 0", lambda x: x >= 0)
-POSITIVE = Range("> 0", lambda x: x > 0, NOT_NEGATIVE)
-UP_TO_1 = Range("in [0, 1]", lambda x: (x >= 0) & (x <= 1))
-RATIO = Range("> 0 and <= 1", lambda x: (x > 0) & (x <= 1), UP_TO_1)
-SCATTER = Range(">= 0 and < 1", lambda x: (x >= 0) & (x < 1), UP_TO_1)
+POSITIVE = Range("> 0", lambda x: x > 0)
+RATIO = Range("> 0 and <= 1", lambda x: (x > 0) & (x <= 1))
+SCATTER = Range(">= 0 and < 1", lambda x: (x >= 0) & (x < 1))
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number of the file, where it stands in a `Setup`, its range and the file's unit."""
+    """A number of the file: its range, where it stands in a `Setup`, the file's unit in SI."""
 
     section: str
     key: str
-    attribute: str
     range: Range
+    attribute: str
     unit: float = 1.0
     required: bool = False
 
@@ -70,39 +69,57 @@ class Quantity:
         """Its name among the parameters where it has one, else section.key."""
         return self.key if self.key in RIG_PARAMETERS else f"{self.section}.{self.key}"
 
+    def to_si(self, number: Decimal) -> float:
+        """The value [SI] of the file's number.
 
+        In decimal the two turn into each other without loss, as units are powers of ten; in
+        binary a length could come back one digit off.
+        """
+        value = float(number)
+        return float(number * Decimal(repr(self.unit))) if math.isfinite(value) else value
+
+    def from_si(self, value: float) -> str:
+        """The file's number for a value [SI]."""
+        if not math.isfinite(value):
+            return repr(value)
+        exact = Decimal(repr(value)) / Decimal(repr(self.unit))
+        short = repr(float(exact))
+        return short if Decimal(short) == exact else str(exact)
+
+
+STROKE = Quantity("pusher", "stroke_mm", POSITIVE, "rig.pusher.stroke", units.MM)
 QUANTITIES = (
-    Quantity("part", "mass_kg", "rig.mass", POSITIVE, required=True),
-    Quantity("friction", "mu_s", "rig.friction.mu_s", POSITIVE, required=True),
-    Quantity("friction", "mu_s_scatter", "mu_s_scatter", SCATTER),
-    Quantity("friction", "mu_k_over_mu_s", "rig.friction.mu_k_over_mu_s", RATIO),
-    Quantity("friction", "k_v_N_s_per_m", "rig.friction.k_v", NOT_NEGATIVE),
-    Quantity("contact", "k_N_per_m", "rig.contact.k", POSITIVE, required=True),
-    Quantity("contact", "b_N_s_per_m", "rig.contact.b", NOT_NEGATIVE, required=True),
-    Quantity("pusher", "stroke_mm", "rig.pusher.stroke", POSITIVE, units.MM),
+    Quantity("part", "mass_kg", POSITIVE, "rig.mass", required=True),
+    Quantity("friction", "mu_s", POSITIVE, "rig.friction.mu_s", required=True),
+    Quantity("friction", "mu_s_scatter", SCATTER, "mu_s_scatter"),
+    Quantity("friction", "mu_k_over_mu_s", RATIO, "rig.friction.mu_k_over_mu_s"),
+    Quantity("friction", "k_v_N_s_per_m", NOT_NEGATIVE, "rig.friction.k_v"),
+    Quantity("contact", "k_N_per_m", POSITIVE, "rig.contact.k", required=True),
+    Quantity("contact", "b_N_s_per_m", NOT_NEGATIVE, "rig.contact.b", required=True),
+    STROKE,
     Quantity(
-        "force_sensor", "sensitivity_mV_per_N", "rig.force_sensor.sensitivity", POSITIVE, units.MV
+        "force_sensor", "sensitivity_mV_per_N", POSITIVE, "rig.force_sensor.sensitivity", units.MV
     ),
-    Quantity("force_sensor", "range_N", "rig.force_sensor.range", POSITIVE),
-    Quantity("force_sensor", "rate_Hz", "rig.force_sensor.rate", POSITIVE),
-    Quantity("force_sensor", "noise_N", "rig.force_sensor.noise", POSITIVE),
-    Quantity("probe", "resolution_um", "rig.probe.resolution", POSITIVE, units.UM),
-    Quantity("probe", "noise_um", "rig.probe.noise", POSITIVE, units.UM),
+    Quantity("force_sensor", "range_N", POSITIVE, "rig.force_sensor.range"),
+    Quantity("force_sensor", "rate_Hz", POSITIVE, "rig.force_sensor.rate"),
+    Quantity("force_sensor", "noise_N", POSITIVE, "rig.force_sensor.noise"),
+    Quantity("probe", "resolution_um", POSITIVE, "rig.probe.resolution", units.UM),
+    Quantity("probe", "noise_um", POSITIVE, "rig.probe.noise", units.UM),
 )
-"""All numbers of the file. What is missing and not required takes its law's or sensor's default."""
+"""All numbers of the file. One that is neither there nor required takes its class's default."""
 
-_SECTIONS = {
-    section: [q for q in QUANTITIES if q.section == section]
+SECTIONS = {
+    section: {q.key: q for q in QUANTITIES if q.section == section}
     for section in dict.fromkeys(q.section for q in QUANTITIES)
 }
 _LAWS = {"friction": ViscousCoulomb, "contact": UnilateralSpringDamper}
-_CHECKED = ("part", "friction", "contact", "pusher")
+_NO_EFFECTS = "expected none, as this version of difffric has no effects yet"
 
 
 @dataclass(frozen=True)
 class Extras:
-    """What a number's table says beside its value; None: nothing. In the file's own unit,
-    which differs from SI only where the name says so (`pusher.stroke_mm`)."""
+    """What a number's table says beside its value, in the file's own unit, which differs from
+    SI only where its name says so (`pusher.stroke_mm`). None: not said."""
 
     standard_error: float | None = None
     free: bool | None = None
@@ -119,7 +136,7 @@ class Setup:
     """relative standard deviation of mu_s from push to push; None: not known"""
     extras: Mapping[str, Extras] = field(default_factory=dict)
     effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """no effect exists yet: always empty"""
+    """always empty: no effect exists yet"""
 
 
 def load_setup(path: str | os.PathLike) -> Rig:
@@ -129,27 +146,23 @@ def load_setup(path: str | os.PathLike) -> Rig:
 
 def read_setup(path: str | os.PathLike) -> Setup:
     """All that a setup.toml says. Raises `InputError` naming all that is wrong with the file."""
-    file = Path(path)
-    if file.is_dir():
-        raise InputError(f"{path}: is a folder, expected a TOML file")
     try:
-        content = file.read_bytes()
+        if Path(path).is_dir():
+            raise InputError(f"{path}: expected a TOML file, got a folder")
+        return _parse(Path(path).read_bytes().decode("utf-8-sig"), path)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {_reason(error)}") from None
-    try:
-        text = content.decode("utf-8-sig")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
-        line = content.count(b"\n", 0, error.start) + 1
-        raise InputError(f"{path}: expected UTF-8 text, line {line} is something else") from None
-    return _parse(text, path)
+        line = error.object.count(b"\n", 0, error.start) + 1
+        raise InputError(f"{path}: expected text in UTF-8, line {line} is not") from None
 
 
 def write_setup(setup: Setup | Rig, path: str | os.PathLike) -> None:
     """Write a set-up so that reading it gives the same numbers, to the last digit.
 
-    The file appears whole or not at all; the comments of one that it replaces are lost. Raises
+    The file appears whole or not at all; comments in one that it replaces are lost. Raises
     `InputError` for what the format cannot say, and where the path cannot be written.
     """
     text = _render(Setup(setup) if isinstance(setup, Rig) else setup, path)
@@ -160,199 +173,219 @@ def write_setup(setup: Setup | Rig, path: str | os.PathLike) -> None:
         temporary.write_text(text, encoding="utf-8", newline="\n")
         os.replace(temporary, target)
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {_reason(error)}") from None
-    finally:
         temporary.unlink(missing_ok=True)
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def checked(rig: Rig) -> Rig:
     """The rig itself, or an `InputError` that names all its values out of range.
 
-    For equations (1) and (2) and the stroke, element by element; other laws and values that
-    JAX is tracing pass unseen.
+    It sees the mass, the numbers of equations (1) and (2) and the stroke, element by element;
+    other laws, and values that JAX is tracing, pass.
     """
     problems = []
     for q in QUANTITIES:
-        law = _LAWS.get(q.section)
-        if q.section not in _CHECKED or (law and not isinstance(getattr(rig, q.section), law)):
+        if q.section in ("force_sensor", "probe") or not _has_law(rig, q.section):
             continue
-        value, endless = attrgetter(q.attribute)(Setup(rig)), q.attribute == "rig.pusher.stroke"
-        if isinstance(value, jax.core.Tracer) or (value is None and not q.required):
+        value = attrgetter(q.attribute)(Setup(rig))
+        if q.key == "mu_s_scatter" or isinstance(value, Tracer) or (q is STROKE and value is None):
             continue
         x = np.asarray(value)
         if x.dtype.kind not in "iuf":
-            problems.append(f"{q.attribute}: expected {q.range.expected()}, got {value!r}")
+            problems.append(f"{q.attribute}: {q.range.expected(0)}, got {value!r}")
             continue
-        good = q.range.holds(x) & (np.isfinite(x) | (endless & ~np.isnan(x)))
+        good = q.range.holds(x) & (np.isfinite(x) | (q is STROKE))  # infinite stroke: none
         if not good.all():
             at = np.unravel_index(np.argmin(good), x.shape)
             where = f" at index {', '.join(map(str, at))}" if x.ndim else ""
-            expected = q.range.expected(finite=bool(np.isfinite(x[at])))
-            problems.append(f"{q.attribute}: expected {expected}, got {x[at]}{where}")
+            problems.append(f"{q.attribute}: {q.range.expected(x[at])}, got {x[at]}{where}")
     if problems:
         raise InputError("\n".join(problems))
     return rig
 
 
+def _has_law(rig: Rig, section: str) -> bool:
+    return section not in _LAWS or isinstance(getattr(rig, section), _LAWS[section])
+
+
 def _parse(text: str, name) -> Setup:
     try:
-        document = tomllib.loads(text, parse_float=_literal)
+        document = tomllib.loads(text, parse_float=Decimal)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{name}: not valid TOML: {error}") from None
+    except ArithmeticError:
+        raise InputError(f"{name}: an exponent is beyond all numbers") from None
     try:
-        model = _DOCUMENT.model_validate({section: {} for section in _SECTIONS} | document)
-    except ValidationError as error:
-        lines = [f"{name}: {_problem(e, document)}" for e in error.errors(include_url=False)]
-        raise InputError("\n".join(lines)) from None
+        model = _File.model_validate({section: {} for section in SECTIONS} | document)
+    except pydantic.ValidationError as error:
+        problems = [_problem(e, document) for e in error.errors(include_url=False)]
+        raise InputError("\n".join(f"{name}: {problem}" for problem in problems)) from None
     values, extras = {}, {}
     for q in QUANTITIES:
         entry = getattr(getattr(model, q.section), q.key)
         if entry is not None:
-            values[q.attribute] = entry.value
+            values[q.attribute] = q.to_si(entry.value)
             if isinstance(document[q.section][q.key], dict):
-                extras[q.name] = Extras(**{f.name: getattr(entry, f.name) for f in fields(Extras)})
+                extras[q.name] = Extras(**entry.model_dump(exclude={"value"}))
 
-    def part(name):
-        start = f"rig.{name}."
-        return {a.removeprefix(start): v for a, v in values.items() if a.startswith(start)}
+    def fields_of(part):
+        start = f"rig.{part}."
+        return {k.removeprefix(start): x for k, x in values.items() if k.startswith(start)}
 
     rig = Rig(
         mass=values["rig.mass"],
-        friction=ViscousCoulomb(**part("friction")),
-        contact=UnilateralSpringDamper(**part("contact")),
-        pusher=ConstantSpeed(**part("pusher")),
-        force_sensor=ForceSensor(**part("force_sensor")),
-        probe=Probe(**part("probe")),
+        friction=ViscousCoulomb(**fields_of("friction")),
+        contact=UnilateralSpringDamper(**fields_of("contact")),
+        pusher=ConstantSpeed(**fields_of("pusher")),
+        force_sensor=ForceSensor(**fields_of("force_sensor")),
+        probe=Probe(**fields_of("probe")),
     )
     return Setup(rig, values.get("mu_s_scatter"), extras)
 
 
 def _render(setup: Setup, name) -> str:
-    if setup.effects:
-        raise InputError(f"{name}: {_no_effects_yet(setup.effects)}")
-    unknown = sorted(set(setup.extras) - {q.name for q in QUANTITIES})
-    problems = [f"{name}: extras for {u}: the file has no such number" for u in unknown]
-    for section, law in _LAWS.items():
-        if not isinstance(found := getattr(setup.rig, section), law):
-            problems.append(f"{name}: [{section}]: expected {law.__name__}, got {found!r}")
-    if problems:
-        raise InputError("\n".join(problems))
-    blocks = []
-    for section, quantities in _SECTIONS.items():
-        lines = [line for q in quantities if (line := _assignment(setup, q, name))]
+    known = {q.name for q in QUANTITIES}
+    problems = [f"{x}: the file has no such number" for x in setup.extras if x not in known]
+    problems += [f"[effects.{x}]: {_NO_EFFECTS}" for x in setup.effects]
+    text = ""
+    for section, quantities in SECTIONS.items():
+        if not _has_law(setup.rig, section):
+            found = type(getattr(setup.rig, section)).__name__
+            problems.append(f"[{section}]: expected {_LAWS[section].__name__}, got {found}")
+            continue
+        lines = []
+        for q in quantities.values():
+            try:
+                lines += _assignment(q, attrgetter(q.attribute)(setup), setup.extras.get(q.name))
+            except InputError as error:
+                problems.append(f"[{section}] {q.key}: {error}")
         if lines:
-            blocks.append("\n".join([f"[{section}]", *lines, ""]))
-    return "\n".join(blocks)
+            text += "\n".join(["\n" * bool(text) + f"[{section}]", *lines, ""])
+    if problems:
+        raise InputError("\n".join(f"{name}: {problem}" for problem in problems))
+    return text
 
 
-def _assignment(setup: Setup, q: Quantity, name) -> str | None:
-    """`key = value` as the file has it; None where there is nothing to say."""
-    value, extras = attrgetter(q.attribute)(setup), setup.extras.get(q.name)
-    text = None
+def _assignment(q: Quantity, value, extras: Extras | None) -> list[str]:
+    """`key = value` as the file has it; no line where there is nothing to say."""
+    says = {}
     if value is not None:
-        try:
-            number = float(value) if np.ndim(value) == 0 else None
-        except (TypeError, ValueError):  # traced, or no number at all
-            number = None
-        if number is None:
-            raise InputError(f"{name}: [{q.section}] {q.key}: expected one number, got {value!r}")
-        if not (q.attribute == "rig.pusher.stroke" and number == math.inf):  # which means none
-            text = _in_unit(number, q.unit)
+        if np.ndim(value):
+            raise InputError(f"expected one number, got an array of shape {np.shape(value)}")
+        if isinstance(value, Tracer) or np.asarray(value).dtype.kind not in "iuf":
+            raise InputError(f"expected a number, got {value!r}")
+        if not (q is STROKE and float(value) == math.inf):  # which means none
+            says["value"] = q.from_si(float(value))
     if extras is None:
-        return None if text is None else f"{q.key} = {text}"
-    says = {f.name: getattr(extras, f.name) for f in fields(extras)}
-    items = [] if text is None else [f"value = {text}"]
-    items += [
-        f"{key} = {json.dumps(x) if isinstance(x, bool) else repr(float(x))}"
-        for key, x in says.items()
-        if x is not None
-    ]
-    return f"{q.key} = {{ {', '.join(items)} }}"
+        return [f"{q.key} = {number}" for number in says.values()]
+    for key, x in asdict(extras).items():
+        if x is not None:
+            says[key] = json.dumps(x) if isinstance(x, bool) else repr(float(x))
+    return [f"{q.key} = {{ {', '.join(f'{key} = {x}' for key, x in says.items())} }}"]
 
 
-# Units are powers of ten, so in decimal the file's number and the SI one convert into each other
-# without loss; in binary a length could come back one digit off.
+# The models of the file. Their validators say in words what pydantic says in its own.
 
 
-def _literal(text: str) -> Decimal:
-    try:
-        return Decimal(text)
-    except InvalidOperation:  # an exponent beyond even a Decimal
-        return Decimal(repr(float(text)))
+def _error(words: str) -> PydanticCustomError:
+    return PydanticCustomError("setup", "{words}", {"words": words})
 
 
-def _to_si(number: int | Decimal, unit: float) -> float:
-    as_float = float(Decimal(number))
-    if not math.isfinite(as_float):
-        return as_float
-    return float(Decimal(number) * Decimal(repr(unit)))
+def _shown(given) -> str:
+    if isinstance(given, bool | str):
+        return json.dumps(given, ensure_ascii=False)
+    if isinstance(given, Decimal):
+        return repr(float(given))
+    return {dict: "a table", list: "a list"}.get(type(given), str(given))
 
 
-def _in_unit(value: float, unit: float) -> str:
-    if not math.isfinite(value):
-        return repr(value)
-    exact = Decimal(repr(value)) / Decimal(repr(unit))
-    short = repr(float(exact))
-    return short if Decimal(short) == exact else str(exact)
-
-
-# The models of the file. Validators say in words what pydantic would say in its own.
-
-
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-
-def _number(range: Range, unit: float = 1.0):
-    """A finite number of the file in a range, as SI."""
+def _number(range: Range, q: Quantity | None = None) -> pydantic.PlainValidator:
+    """A number in a range: a quantity's value as the file has it, else a float."""
 
     def validate(given):
         is_number = isinstance(given, int | Decimal) and not isinstance(given, bool)
-        value = _to_si(given, unit) if is_number else math.nan
+        exact = Decimal(given) if is_number else Decimal(0)
+        value = q.to_si(exact) if q else float(exact)
         if not (is_number and math.isfinite(value) and range.holds(value)):
-            expected = range.expected(finite=not is_number or math.isfinite(value))
-            raise _error(f"expected {expected}, got {_shown(given)}")
-        return value
+            raise _error(f"{range.expected(value)}, got {_shown(given)}")
+        return exact if q else value
 
-    return Annotated[float, BeforeValidator(validate)]
+    return pydantic.PlainValidator(validate)
 
 
-def _flag(given):
-    if not isinstance(given, bool):
-        raise _error(f"expected true or false, got {_shown(given)}")
-    return given
+class _Table(pydantic.BaseModel):
+    model_config = pydantic.ConfigDict(extra="forbid", strict=True)
+
+
+class _Entry(_Table):
+    """A number with its extras."""
+
+    value: Any  # each quantity has its own range
+    standard_error: Annotated[float | None, _number(NOT_NEGATIVE)] = None
+    free: bool = None  # type: ignore[assignment]
+    lower: Annotated[float | None, _number(ANY)] = None
+    upper: Annotated[float | None, _number(ANY)] = None
+
+    @pydantic.model_validator(mode="after")
+    def _ordered(self):
+        value = float(self.value)
+        lower = -math.inf if self.lower is None else self.lower
+        upper = math.inf if self.upper is None else self.upper
+        # A fit that ends at a bound may pass it by a rounding error.
+        at_bound = math.isclose(value, lower) or math.isclose(value, upper)
+        if lower >= upper or not (lower <= value <= upper or at_bound):
+            got = f"lower = {lower}, value = {value}, upper = {upper}"
+            raise _error(f"expected lower < upper and the value between them, got {got}")
+        return self
 
 
 def _entry(q: Quantity) -> Any:
-    """The model of one number, which takes it plain as well."""
-
-    def consistent(entry):
-        value, lower, upper = entry.value / q.unit, entry.lower, entry.upper
-        if lower is not None and upper is not None and not lower < upper:
-            raise _error(f"expected lower < upper, got lower = {lower}, upper = {upper}")
-        # A fit that ends at a bound may pass it by a rounding error.
-        low, high = (value if bound is None else bound for bound in (lower, upper))
-        if value < low and not math.isclose(value, low):
-            raise _error(f"expected value >= lower, got value = {value:.17g}, lower = {lower}")
-        if value > high and not math.isclose(value, high):
-            raise _error(f"expected value <= upper, got value = {value:.17g}, upper = {upper}")
-        return entry
-
-    bound = _number(q.range.hull or q.range)
-    model = create_model(
-        q.key,
-        __base__=_Table,
-        __validators__={"consistent": model_validator(mode="after")(consistent)},
-        value=(_number(q.range, q.unit), ...),
-        standard_error=(_number(NOT_NEGATIVE), None),
-        free=(Annotated[bool, BeforeValidator(_flag)], None),
-        lower=(bound, None),
-        upper=(bound, None),
-    )
-    as_table = BeforeValidator(lambda given: given if isinstance(given, dict) else {"value": given})
+    """The field of one quantity, which may be plain too."""
+    value: Any = (Annotated[Any, _number(q.range, q)], ...)
+    model: Any = pydantic.create_model(q.key, __base__=_Entry, value=value)
+    as_table = pydantic.BeforeValidator(lambda x: x if isinstance(x, dict) else {"value": x})
     return (Annotated[model, as_table], ... if q.required else None)
 
 
-def _no_effects_yet(effects) -> str:
-    ids = ", ".join(effects)
-    return f"[effects]: expected none, since this version has no effects yet, got {ids}"
+def _section(quantities: dict[str, Quantity]) -> Any:
+    entries: Any = {key: _entry(q) for key, q in quantities.items()}
+    return (pydantic.create_model("_Section", __base__=_Table, **entries), ...)
+
+
+def _no_effects(given):
+    if given:
+        raise _error(f"{_NO_EFFECTS}, got {', '.join(given)}")
+    return given
+
+
+_FIELDS: Any = {section: _section(quantities) for section, quantities in SECTIONS.items()}
+_FIELDS["effects"] = (Annotated[dict, pydantic.AfterValidator(_no_effects)], {})
+_File: Any = pydantic.create_model("_File", __base__=_Table, **_FIELDS)
+
+
+def _problem(error: Mapping[str, Any], document: dict) -> str:
+    """`[section] key: what was expected, what was got`."""
+    section, *keys = error["loc"]
+    kind, given = error["type"], error["input"]
+    if len(keys) == 2 and not isinstance(document[section][keys[0]], dict):
+        keys.pop()  # the value of a plain number
+    where = f"[{section}] {'.'.join(keys)}".rstrip()
+    if kind == "setup":
+        return f"{where}: {error['msg']}"
+    if kind == "missing":
+        return f"{where}: missing, {SECTIONS[section][keys[0]].range.expected(0)}"
+    if kind == "extra_forbidden":
+        outside = not keys and not isinstance(given, dict)
+        return f"{section if outside else where}: {_unknown(section, *keys)}"
+    what = "true or false" if kind == "bool_type" else "a table"
+    return f"{where}: expected {what}, got {_shown(given)}"
+
+
+def _unknown(*path: str) -> str:
+    """What to say of a key that the file does not know."""
+    home = [q.section for q in QUANTITIES if q.key == path[-1]]
+    if home:
+        return f"unknown key here, it belongs in [{home[0]}]"
+    known = ([*SECTIONS], [*SECTIONS.get(path[0], ())], [*_Entry.model_fields])[len(path) - 1]
+    close = difflib.get_close_matches(path[-1], known, n=1)
+    return f"unknown key, {f'did you mean {close[0]}?' if close else 'known: ' + ', '.join(known)}"
