@@ -334,7 +334,8 @@ class _Entry(_Table):
         # A fit that ends at a bound may pass it by a rounding error.
         at_bound = math.isclose(value, lower) or math.isclose(value, upper)
         if lower >= upper or not (lower <= value <= upper or at_bound):
-            got = f"lower = {lower}, value = {value}, upper = {upper}"
+            said = {"lower": self.lower, "value": value, "upper": self.upper}
+            got = ", ".join(f"{key} = {x}" for key, x in said.items() if x is not None)
             raise _error(f"expected lower < upper and the value between them, got {got}")
         return self
 
