@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric import parameters
-from difffric.family import family
-from difffric.fit import Fit, rigs_of
+from difffric.families import family
+from difffric.calibration import Fit, rigs_of
 from difffric.inversion import BRACKET, Inversion, invert
 from difffric.observables import observe
+from difffric.parameters import pick
 from difffric.pushes import Pushes
 from difffric.rig import Rig
-from difffric.simulate import REGIMES
+from difffric.push import REGIMES
 from difffric.surrogate import weighted
 
 
@@ -114,10 +115,9 @@ def identify(
     distance = invert(
         rigs, pushes.velocity, pushes.sliding_distance, "sliding_distance", **options
     )
-    distance = _supported_by_force(rigs, pushes, force, distance, integrator)
-    points = [_best_guess(f, d) for f, d in zip(force, distance, strict=True)]
-    gradients = _gradients(rigs, pushes, force, distance, calibration, integrator)
-    regimes = _regimes(rigs, pushes, points, integrator)
+    distance = _supported_by_force(rigs, pushes, distance, integrator)
+    free = calibration.free if calibration else ()
+    gradients, regimes = _around(rigs, pushes, force, distance, free, integrator)
     se = [
         np.where(np.isnan(own), np.nan if other is None else other, own)
         for own, other in zip(
@@ -131,11 +131,6 @@ def identify(
         )
         for i in range(len(pushes))
     ]  # fmt: skip
-
-
-def _best_guess(force: Inversion, distance: Inversion) -> float:
-    known = [x.value for x in (force, distance) if x.value is not None]
-    return float(np.mean(known)) if known else np.nan
 
 
 def _combine(pushes, i, force, distance, se, gradient, calibration, range_ratio, regime):
@@ -186,61 +181,56 @@ def _combine(pushes, i, force, distance, se, gradient, calibration, range_ratio,
 
 
 @eqx.filter_jit
-def _observe_at(rigs, velocity, mu_s, integrator):
+def _at(rigs, velocity, mu_s, free, integrator):
+    """(F_p, d), their derivatives by the logarithms of `free`, and the regime, at each mu_s."""
+
     def one(rig, velocity, mu_s):
-        seen = observe(parameters.with_values(rig, {"mu_s": mu_s}), velocity, integrator)
-        return seen.peak_force, seen.regime
+        def measured(shift):
+            values = parameters.values(rig)
+            new = {name: values[name] * jnp.exp(shift[i]) for i, name in enumerate(free)}
+            rig_at = parameters.with_values(rig, {**new, "mu_s": mu_s})
+            seen = observe(rig_at, velocity, integrator)
+            both = jnp.stack([seen.peak_force, seen.sliding_distance])
+            return both, (both, seen.regime)
+
+        gradient, (both, regime) = jax.jacfwd(measured, has_aux=True)(jnp.zeros(len(free)))
+        return both, gradient, regime
 
     return jax.vmap(one)(rigs, velocity, mu_s)
 
 
-def _supported_by_force(rigs, pushes, force, distance, integrator):
+def _supported_by_force(rigs, pushes, distance, integrator) -> list[Inversion]:
     """Among several mu_s for one distance, the one that the measured force supports."""
+    open_ = [
+        i
+        for i, x in enumerate(distance)
+        if x.alternatives and not np.isnan(pushes.peak_force[i])
+    ]
     chosen = list(distance)
-    for i, inversion in enumerate(distance):
-        if not inversion.alternatives or np.isnan(pushes.peak_force[i]):
-            continue
-        several = np.array(inversion.alternatives)
-        copies = jax.tree.map(lambda leaf, i=i: jnp.repeat(leaf[i], len(several)), rigs)
+    for i in open_:
+        several = np.array(distance[i].alternatives)
+        copies = pick(rigs, np.full(len(several), i))
         velocity = np.full(len(several), pushes.velocity[i])
-        F, _ = _observe_at(copies, velocity, several, integrator)
-        nearest = int(np.argmin(np.abs(np.asarray(F) - pushes.peak_force[i])))
-        chosen[i] = inversion.at(nearest)
+        both, _, _ = _at(copies, velocity, several, (), integrator)
+        nearest = int(np.argmin(np.abs(np.asarray(both)[:, 0] - pushes.peak_force[i])))
+        chosen[i] = distance[i].at(nearest)
     return chosen
 
 
-def _regimes(rigs, pushes, mu_s, integrator) -> list[str | None]:
-    safe = np.where(np.isnan(mu_s), 0.1, mu_s)
-    _, regime = _observe_at(rigs, pushes.velocity, safe, integrator)
-    return [
-        None if np.isnan(mu) else REGIMES[int(r)]
-        for mu, r in zip(mu_s, np.asarray(regime), strict=True)
-    ]
-
-
-@eqx.filter_jit
-def _gradient_batch(rigs, velocity, mu_force, mu_dist, free, integrator):
-    """Derivatives of F_p (at mu_force) and d (at mu_dist) by the logarithms of `free`."""
-
-    def one(rig, velocity, mu_force, mu_dist):
-        def measured(shift):
-            values = parameters.values(rig)
-            new = {name: values[name] * jnp.exp(shift[i]) for i, name in enumerate(free)}
-            rig_F = parameters.with_values(rig, {**new, "mu_s": mu_force})
-            rig_d = parameters.with_values(rig, {**new, "mu_s": mu_dist})
-            F = observe(rig_F, velocity, integrator).peak_force
-            return jnp.stack([F, observe(rig_d, velocity, integrator).sliding_distance])
-
-        return jax.jacfwd(measured)(jnp.zeros(len(free)))
-
-    return jax.vmap(one)(rigs, velocity, mu_force, mu_dist)
-
-
-def _gradients(rigs, pushes, force, distance, calibration, integrator) -> NDArray:
-    """One (2, number of calibrated parameters) array a push."""
-    if calibration is None:
-        return np.zeros((len(pushes), 2, 0))
-    mu = [np.array([0.1 if x.value is None else x.value for x in xs]) for xs in (force, distance)]
-    return np.asarray(
-        _gradient_batch(rigs, pushes.velocity, *mu, calibration.free, integrator)
+def _around(rigs, pushes, force, distance, free, integrator):
+    """For each push the derivatives (2, len(free)) of F_p at mu_force and of d at mu_dist by the
+    logarithms of the calibrated parameters, and the regime between the two."""
+    n = len(pushes)
+    mu = np.array([[x.value or np.nan for x in xs] for xs in (force, distance)])
+    known = np.isfinite(mu).sum(axis=0)
+    middle = np.nansum(mu, axis=0) / np.maximum(known, 1)
+    points = np.stack([*mu, middle], axis=1)
+    points = np.where(np.isfinite(points) & (points > 0), points, 0.1).ravel()
+    which = np.repeat(np.arange(n), 3)
+    _, gradient, regime = _at(
+        pick(rigs, which), pushes.velocity[which], points, free, integrator
     )
+    gradient = np.asarray(gradient).reshape(n, 3, 2, len(free))
+    regime = np.asarray(regime).reshape(n, 3)[:, 2]
+    names = [REGIMES[int(r)] if k else None for r, k in zip(regime, known, strict=True)]
+    return np.stack([gradient[:, 0, 0], gradient[:, 1, 1]], axis=1), names

@@ -8,13 +8,13 @@ step are put in order by their times.
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.lax import stop_gradient
 
@@ -83,6 +83,11 @@ class _Motion(eqx.Module):
         z_0 = jnp.minimum(stop_gradient(_compression(rig.contact, 0.0, rig.F_N)), 1.0)
         return cls(rig, v_p, jnp.stack([z_0, jnp.sqrt(z_0 * GRAVITY)]), mode)
 
+    @property
+    def time(self):
+        """z_0 / u_0 [s]: about the time of one radian of the part on the tip."""
+        return self.scale[0] / self.scale[1]
+
     def scaled(self, z, u):
         return jnp.stack(jnp.broadcast_arrays(z, u)) / self.scale
 
@@ -114,7 +119,7 @@ class _Motion(eqx.Module):
     def steady(self, y, tolerance):
         """Whether the part keeps the tip's speed, but for what is below the tolerance."""
         w, acceleration = self(y) * self.scale
-        change = acceleration * self.scale[0] / self.scale[1]
+        change = acceleration * self.time
         still = jnp.hypot(w, change) < tolerance * self.scale[1]
         return still & (self.v_p > 0) & (self.mode != "free")
 
@@ -141,7 +146,7 @@ def _until_catch(motion, y):
 
 
 def _until_summit(motion, y):
-    return motion.force(y)[1]
+    return motion.force(y)[1] * motion.time / motion.rig.F_N
 
 
 class _Step(NamedTuple):
@@ -159,7 +164,6 @@ class _March(NamedTuple):
     t: Array
     y: Array
     h: Array
-    solver: Any
     controller: Any
     summit: _Step
     """the step across the highest interior maximum of the force"""
@@ -275,17 +279,15 @@ class Diffrax(eqx.Module):
 
     def _march(self, motion, y, left, guards) -> _March:
         """Step until a guard has passed, for the time `left` [s] or, if endless, the horizon."""
-        terms = diffrax.ODETerm(lambda t, y, args: motion(y))
         controller = diffrax.PIDController(self.rtol, self.atol)
-        solver = self._solver
-        order = solver.error_order(terms)
+        order = self.solver.error_order(None)
         until = stop_gradient(jnp.where(jnp.isfinite(left), left, self.horizon))
-        h_0 = 0.02 * motion.scale[0] / motion.scale[1]
+        h_0 = 0.02 * motion.time
         unsteady = 10 * self.rtol
 
         def step(m: _March):
             h = jnp.minimum(m.h, until - m.t)
-            y, error, _, state, _ = solver.step(terms, 0.0, h, m.y, None, m.solver, False)
+            y, error = self._step(motion, m.y, h)
             before, after, error = stop_gradient((m.y, y, error))
             keep, start, end, _, control, _ = controller.adapt_step_size(
                 0.0, h, before, after, None, error, order, m.controller
@@ -298,7 +300,7 @@ class Diffrax(eqx.Module):
             m = m._replace(h=after_h, controller=control, count=m.count + 1)
             m = m._replace(over=~jnp.isfinite(after_h))
             t = jnp.where(h >= until - m.t, until, m.t + h)
-            new = m._replace(last=_Step(m.t, m.y, h), t=t, y=y, solver=state)
+            new = m._replace(last=_Step(m.t, m.y, h), t=t, y=y)
             if guards and motion.mode == "approach":
                 (N_0, dN_0), (N_1, dN_1) = motion.force(before), motion.force(after)
                 higher = (dN_0 > 0) & (dN_1 <= 0) & (jnp.maximum(N_0, N_1) > m.height)
@@ -314,19 +316,12 @@ class Diffrax(eqx.Module):
         wrong = [guard(motion, y) < -1e-12 for guard in guards]
         zero = jnp.zeros(())
         here = _Step(zero, y, zero)
-        state, control = jax.tree.map(
-            jnp.asarray,
-            (
-                solver.init(terms, 0.0, h_0, y, None),
-                controller.init(terms, 0.0, h_0, y, h_0, None, solver.func, order)[1],
-            ),
-        )
+        _, control = controller.init(None, 0.0, until, y, h_0, None, None, order)
         start = _March(
             last=here,
             t=zero,
             y=y,
             h=h_0,
-            solver=state,
             controller=control,
             summit=here,
             height=-jnp.inf,
@@ -337,16 +332,20 @@ class Diffrax(eqx.Module):
         start = jax.tree.map(jnp.asarray, start)
         return jax.lax.while_loop(lambda m: ~m.over & (m.count < self.max_steps), step, start)
 
-    @property
-    def _solver(self):
-        """The solver, with loops that forward mode can pass."""
-        return dataclasses.replace(self.solver, scan_kind="lax")
+    def _step(self, motion, y, h):
+        """One step of the length h [s]: the state after it, and its error."""
+        tableau = self.solver.tableau
+
+        def weighted(weights):
+            return h * sum(float(a) * rate for a, rate in zip(weights, rates, strict=False) if a)
+
+        rates = [motion(y)]
+        for row in tableau.a_lower:
+            rates.append(motion(y + weighted(row)))
+        return y + weighted(tableau.b_sol), weighted(tableau.b_error)
 
     def _flow(self, motion, y, h):
-        """The state one step of the length h [s] after y."""
-        terms = diffrax.ODETerm(lambda t, y, args: motion(y))
-        state = self._solver.init(terms, 0.0, h, y, None)
-        return self._solver.step(terms, 0.0, h, y, None, state, False)[0]
+        return self._step(motion, y, h)[0]
 
     def _root(self, motion, guard, step, passed, upto):
         """How far into a step [s] a guard falls to zero; infinite unless it has passed."""
@@ -354,9 +353,12 @@ class Diffrax(eqx.Module):
 
         def value_and_slope(h, dynamic):
             motion, y = eqx.combine(dynamic, static)
-            return jax.jvp(
+            value, slope = jax.jvp(
                 lambda h: guard(motion, self._flow(motion, y, h)), (h,), (jnp.ones_like(h),)
             )
+            # Below rounding it is zero, or a shallow root would be searched for ever.
+            noise = jnp.where(jnp.abs(value) < 1e-15, stop_gradient(value), 0.0)
+            return value - noise, slope
 
         upto = stop_gradient(jnp.where(passed, upto, 0.0))
         # A guard that starts at zero must not be found there: begin at the far side.

@@ -18,6 +18,7 @@ import optimistix as optx
 
 from difffric import parameters
 from difffric.observables import observe
+from difffric.parameters import pick
 from difffric.rig import Rig
 from difffric.units import to_um
 
@@ -29,7 +30,6 @@ BRACKET = (1e-3, 2.0)
 FLAT = 1e-12
 """A relative derivative below this determines nothing."""
 
-_SOLVED = 1e-10
 _GRID, _CHILDREN, _LEVELS = 96, 12, 6
 _CHUNK = 256
 
@@ -38,6 +38,8 @@ class _Search(eqx.Module):
     lower: jax.Array
     upper: jax.Array
     step: jax.Array
+    slope: jax.Array
+    arrived: jax.Array
 
 
 class BracketedNewton(optx.AbstractRootFinder):
@@ -54,7 +56,8 @@ class BracketedNewton(optx.AbstractRootFinder):
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
         lower, upper = (jnp.asarray(options[key], float) for key in ("lower", "upper"))
-        return _Search(lower, upper, jnp.asarray(jnp.inf))
+        nothing = jnp.asarray(jnp.nan)
+        return _Search(lower, upper, jnp.asarray(jnp.inf), nothing, jnp.asarray(False))
 
     def step(self, fn, y, args, options, state, tags):
         (value, aux), (slope, _) = jax.jvp(lambda at: fn(at, args), (y,), (jnp.ones_like(y),))
@@ -68,7 +71,8 @@ class BracketedNewton(optx.AbstractRootFinder):
         # Newton's error is quadratic in its step: after one this small, nothing is left to do.
         arrived = ~flat & ((inside & (step < 1e-9)) | (step <= 4e-16 * jnp.abs(y)))
         new = jnp.where(inside | arrived, new, 0.5 * (lower + upper))
-        return new, _Search(lower, upper, jnp.where(arrived, 0.0, jnp.abs(new - y))), aux
+        last = jnp.where(arrived, 0.0, jnp.abs(new - y))
+        return new, _Search(lower, upper, last, slope, arrived), aux
 
     def terminate(self, fn, y, args, options, state, tags):
         done = state.step <= self.atol + self.rtol * jnp.abs(y)
@@ -83,25 +87,27 @@ class Root(NamedTuple):
 
     mu_s: jax.Array
     slope: jax.Array
-    """derivative of the quantity by mu_s [N or m]"""
+    """derivative of the quantity by mu_s [N or m], to 1e-9"""
     solved: jax.Array
-    short: jax.Array
-    """at an end without a solution: the model's value is below the measured one"""
+    """whether the quantity takes the target's value there"""
 
 
-def solve(rig: Rig, velocity, target, quantity: Quantity, bracket, rising, integrator) -> Root:
-    """The mu_s in the bracket at which the quantity takes the value `target` [N or m].
+def solve(rig: Rig, velocity, target, by_force, bracket, rising, integrator=None) -> Root:
+    """The mu_s in the bracket at which F_p (where `by_force`) or d takes the value `target`
+    [N or m].
 
-    Traceable. Where the quantity does not exist it counts as less than any target.
+    Traceable; by_force and rising (whether the quantity grows with mu_s there) too, so that one
+    program serves both quantities. Where the quantity does not exist it counts as less than
+    any target.
     """
     lower, upper = jnp.log(bracket[0]), jnp.log(bracket[1])
 
     def excess(log_mu_s, _):
         mu_s = jnp.exp(log_mu_s)
         seen = observe(parameters.with_values(rig, {"mu_s": mu_s}), velocity, integrator)
-        ratio = getattr(seen, quantity) / target
+        ratio = jnp.where(by_force, seen.peak_force, seen.sliding_distance) / target
         # d is close to a power of mu_s, F_p to a straight line: each its own scale for Newton.
-        value = jnp.log(ratio) if quantity == "sliding_distance" else ratio - 1.0
+        value = jnp.where(by_force, ratio - 1.0, jnp.log(jnp.where(by_force, 1.0, ratio)))
         return jnp.where(jnp.isnan(ratio), -1.0, value)
 
     solution = optx.root_find(
@@ -112,10 +118,8 @@ def solve(rig: Rig, velocity, target, quantity: Quantity, bracket, rising, integ
         max_steps=200,
         throw=False,
     )
-    at = solution.value
-    residual, slope = jax.jvp(lambda m: excess(m, None), (at,), (jnp.ones_like(at),))
-    mu_s = jnp.exp(at)
-    return Root(mu_s, slope * target / mu_s, jnp.abs(residual) < _SOLVED, residual < 0)
+    mu_s, end = jnp.exp(solution.value), solution.state
+    return Root(mu_s, end.slope * target / mu_s, end.arrived)
 
 
 @dataclass(frozen=True)
@@ -158,7 +162,7 @@ def invert(
     if found:
         which, lower, upper, rising = (np.array(column) for column in zip(*found, strict=True))
         solved = _solve_many(
-            *_pick((rigs, velocity, safe), which),
+            *pick((rigs, velocity, safe), which),
             (np.exp(lower), np.exp(upper)),
             rising,
             quantity,
@@ -172,7 +176,7 @@ def invert(
     ends: dict[int, tuple[float, float]] = {}
     rootless = np.array([i for i in range(n) if measured[i] and not roots[i]], int)
     if len(rootless):
-        least_most = _ends(*_pick((rigs, velocity), rootless), quantity, bracket, integrator)
+        least_most = _ends(*pick((rigs, velocity), rootless), quantity, bracket, integrator)
         ends = dict(zip(rootless.tolist(), zip(*least_most, strict=True), strict=True))
     return [
         _answer(roots[i], target[i], quantity, bracket, ends.get(i))
@@ -213,42 +217,41 @@ def _answer(roots, target, quantity, bracket, ends) -> Inversion:
     return Inversion(None, reason=f"{name} = {show(target)} falls in a jump of the model {where}")
 
 
-def _pick(tree, index):
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf)[index], tree)
-
-
 def _in_chunks(function, arrays, n):
     """A compiled batch function over n elements in chunks of fixed size, the last one padded, so
     that one program serves all batches."""
     parts = []
     for start in range(0, n, _CHUNK):
         index = np.minimum(np.arange(start, start + _CHUNK), n - 1)
-        parts.append(jax.tree.map(np.asarray, function(*_pick(arrays, index))))
+        parts.append(jax.tree.map(np.asarray, function(*pick(arrays, index))))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:n], *parts)
 
 
 @eqx.filter_jit
-def _solve_batch(rigs, velocity, target, bracket, rising, quantity, integrator):
+def _solve_batch(rigs, velocity, target, by_force, bracket, rising, integrator):
     def one(rig, velocity, target, bracket, rising):
-        return solve(rig, velocity, target, quantity, bracket, rising, integrator)
+        return solve(rig, velocity, target, by_force, bracket, rising, integrator)
 
     return jax.vmap(one)(rigs, velocity, target, bracket, rising)
 
 
 def _solve_many(rigs, velocity, target, bracket, rising, quantity, integrator) -> Root:
-    arrays = (rigs, velocity, target, bracket, rising)
-    return _in_chunks(lambda *a: _solve_batch(*a, quantity, integrator), arrays, len(target))
+    by_force = jnp.asarray(quantity == "peak_force")
+
+    def batch(rigs, velocity, target, bracket, rising):
+        return _solve_batch(rigs, velocity, target, by_force, bracket, rising, integrator)
+
+    return _in_chunks(batch, (rigs, velocity, target, bracket, rising), len(target))
 
 
 @eqx.filter_jit
-def _model_batch(rigs, velocity, mu_s, quantity, integrator):
+def _model_batch(rigs, velocity, mu_s, integrator):
     def one(rig, velocity, mu_s):
         def measured(value):
             seen = observe(parameters.with_values(rig, {"mu_s": value}), velocity, integrator)
-            return getattr(seen, quantity), seen.kind
+            return (seen.peak_force, seen.sliding_distance), seen.kind
 
-        value, slope, kind = jax.jvp(measured, (mu_s,), (jnp.ones_like(mu_s),), has_aux=True)
-        return value, slope, kind
+        return jax.jvp(measured, (mu_s,), (jnp.ones_like(mu_s),), has_aux=True)
 
     return jax.vmap(one)(rigs, velocity, mu_s)
 
@@ -258,9 +261,12 @@ def _model(rigs, velocity, log_mu_s, quantity, integrator):
     rows, columns = log_mu_s.shape
     which = np.repeat(np.arange(rows), columns)
     mu_s = np.exp(log_mu_s.ravel())
-    arrays = (*_pick((rigs, velocity), which), mu_s)
-    out = _in_chunks(lambda *a: _model_batch(*a, quantity, integrator), arrays, mu_s.size)
-    value, slope, kind = (a.reshape(rows, columns) for a in out)
+    arrays = (*pick((rigs, velocity), which), mu_s)
+    values, slopes, kind = _in_chunks(
+        lambda *a: _model_batch(*a, integrator), arrays, mu_s.size
+    )
+    which = ("peak_force", "sliding_distance").index(quantity)
+    value, slope, kind = (a.reshape(rows, columns) for a in (values[which], slopes[which], kind))
     return value, slope * np.exp(log_mu_s), kind
 
 
@@ -286,7 +292,7 @@ def _crossings(rigs, velocity, target, quantity, bracket, integrator):
     points = np.broadcast_to(np.linspace(*np.log(bracket), _GRID), (len(target), _GRID))
     for level in range(_LEVELS):
         value, slope, kind = _model(
-            _pick(rigs, which), velocity[which], points, quantity, integrator
+            pick(rigs, which), velocity[which], points, quantity, integrator
         )
         excess = value / target[which, None] - 1.0
         a, b = excess[:, :-1], excess[:, 1:]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from difffric import simulate as sim
+from difffric import push as sim
 from difffric.rig import Rig
 
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from difffric import parameters
 from difffric.estimators import PushFriction, identify
-from difffric.family import MU_S, SPEEDS_MM_MIN, Family, family
-from difffric.fit import Fit, fit
+from difffric.families import MU_S, SPEEDS_MM_MIN, Family, family
+from difffric.calibration import Fit, fit
 from difffric.pushes import Pushes
 from difffric.rig import Rig, spring_damper_rig
 from difffric.surrogate import PUBLISHED_DISTANCE, PUBLISHED_FORCE, weighted
@@ -247,7 +247,8 @@ def study(progress: Callable[[str, float], None] = lambda what, share: None) -> 
         step(f"a stroke of {stroke_mm:g} mm instead", by=2)
         stroke = from_mm(stroke_mm)
         guess = parameters.with_stroke(rig, stroke)
-        strokes[stroke] = fit(guess, _hidden(measured, nothing, impossible))
+        reachable = _hidden(measured, nothing, impossible)
+        strokes[stroke] = fit(guess, reachable, several_starts=False)
     progress("done", 1.0)
     return Paper(
         measured, calibration, on_all, strokes, identified, identified_on_all,

@@ -66,3 +66,8 @@ def spread(rig: Rig, n: int) -> Rig:
         return jnp.broadcast_to(jnp.asarray(leaf, float), (n,))
 
     return jax.tree.map(copies, rig)
+
+
+def pick(tree, index):
+    """Some entries of spread rigs (or of any tree of arrays), by an array of indices."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf)[index], tree)

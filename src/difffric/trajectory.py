@@ -5,10 +5,15 @@ from __future__ import annotations
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
+from difffric import parameters
+from difffric.errors import InputError
 from difffric.observables import Observables, observables
-from difffric.simulate import CLOSING, FREE, REASONS, REBOUNDING, REGIMES, Push, Segment
+from difffric.push import CLOSING, FREE, REASONS, REBOUNDING, REGIMES, Integrator, Push, Segment
+from difffric.rig import Rig
+from difffric.setup_file import checked
 
 
 class Trajectory(eqx.Module):
@@ -100,3 +105,32 @@ def _at(trajectory: Trajectory, time):
     touching = (s.mode != FREE) & (z >= 0)
     started = time >= 0
     return jnp.where(touching & started, force, 0.0), y - z, u
+
+
+def simulate(
+    rig: Rig,
+    velocity,
+    *,
+    stroke=None,
+    mass=None,
+    mu_s=None,
+    integrator: Integrator | None = None,
+) -> Trajectory:
+    """One push at `velocity` [m/s], with the rig's own stroke [m], mass [kg] and mu_s unless
+    given. Can be differentiated (forward mode), batched and compiled.
+
+    Raises `InputError` for a value outside its range and in 32-bit mode.
+    """
+    given = {"mass_kg": mass, "mu_s": mu_s}
+    rig = parameters.with_values(rig, {k: v for k, v in given.items() if v is not None})
+    if stroke is not None:
+        rig = parameters.with_stroke(rig, stroke)
+    checked(rig)
+    if not isinstance(velocity, jax.core.Tracer) and not np.all((velocity > 0) & np.isfinite(velocity)):
+        raise InputError(f"velocity: expected a number > 0, got {velocity}")
+    return _follow(Push.of(rig, velocity, integrator))
+
+
+@eqx.filter_jit
+def _follow(push: Push) -> Trajectory:
+    return Trajectory.of(push)

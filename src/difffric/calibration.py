@@ -120,7 +120,6 @@ def rigs_of(rig: Rig, pushes: Pushes) -> Rig:
     return rigs
 
 
-@eqx.filter_jit
 def _predict(rigs, velocity, free, log_values, active, integrator):
     """(F_p, d) of all pushes with the free parameters at exp(log_values), or gone."""
 
@@ -132,17 +131,23 @@ def _predict(rigs, velocity, free, log_values, active, integrator):
     return jax.vmap(one)(rigs, velocity)
 
 
+def _residuals(rigs, velocity, measured, spreads, free, active, log_values, integrator):
+    """(measured - model) / spread, forces first, 0 where nothing was measured; and the model."""
+    F, d = _predict(rigs, velocity, free, log_values, active, integrator)
+    # Where the model's part never leaves the tip it slides no distance: d counts as 0.
+    both = jnp.stack([F, jnp.where(jnp.isnan(d), 0.0, d)])
+    r = (measured - both) / spreads
+    return jnp.where(jnp.isnan(measured), 0.0, r).ravel(), (F, d)
+
+
 @eqx.filter_jit
-def _solve(rigs, velocity, measured, spreads, free, active, starts, integrator):
-    """Levenberg-Marquardt from every start at once; also residuals and Jacobian at the best
-    end. Which parameters are active is a run-time choice: one program serves all."""
+def _descend(rigs, velocity, measured, spreads, free, active, starts, integrator):
+    """Levenberg-Marquardt from every start at once: (ends, arrived). Which parameters are active
+    is a run-time choice: one program serves all."""
 
     def residuals(log_values, _):
-        F, d = _predict(rigs, velocity, free, log_values, active, integrator)
-        # Where the model's part never leaves the tip it slides no distance: d counts as 0.
-        both = jnp.stack([F, jnp.where(jnp.isnan(d), 0.0, d)])
-        r = (measured - both) / spreads
-        return jnp.where(jnp.isnan(measured), 0.0, r).ravel()
+        args = (rigs, velocity, measured, spreads, free, active, log_values, integrator)
+        return _residuals(*args)[0]
 
     def one(start):
         solution = optx.least_squares(
@@ -152,22 +157,37 @@ def _solve(rigs, velocity, measured, spreads, free, active, starts, integrator):
             max_steps=_STEPS,
             throw=False,
         )
-        chi2 = jnp.sum(residuals(solution.value, None) ** 2)
-        return solution.value, chi2, solution.result == optx.RESULTS.successful
+        return solution.value, solution.result == optx.RESULTS.successful
 
-    ends, chi2, ok = jax.vmap(one)(starts)
-    best = ends[jnp.argmin(jnp.where(jnp.isfinite(chi2), chi2, jnp.inf))]
-    return ends, chi2, ok, residuals(best, None), jax.jacfwd(residuals)(best, None)
+    return jax.vmap(one)(starts)
+
+
+@eqx.filter_jit
+def _linearise(rigs, velocity, measured, spreads, free, active, ends, integrator):
+    """Residuals, their exact Jacobian and the model's (F_p, d) at every end."""
+
+    def residuals(log_values):
+        args = (rigs, velocity, measured, spreads, free, active, log_values, integrator)
+        r, model = _residuals(*args)
+        return r, (r, *model)
+
+    jacobian, (r, F, d) = jax.vmap(jax.jacfwd(residuals, has_aux=True))(ends)
+    return r, jacobian, F, d
 
 
 def fit(
-    rig: Rig, pushes: Pushes, *, free: Sequence[str] = FREE, integrator=None
+    rig: Rig,
+    pushes: Pushes,
+    *,
+    free: Sequence[str] = FREE,
+    several_starts: bool = True,
+    integrator=None,
 ) -> Fit:
     """Calibrate the free parameters of a rig on pushes whose mu_s is known (`mu_s_gauge`).
 
     Least squares in log-parameters by optimistix's Levenberg-Marquardt on exact forward-mode
-    Jacobians, from the rig's values and factors of 3 about k and b. Where no standard errors
-    are given, the spreads of F_p and of d are estimated with the rest (restricted maximum
+    Jacobians, from the rig's values and (`several_starts`) factors of 3 about k and b. Where no
+    standard errors are given, the spreads of F_p and of d are estimated with the rest (restricted maximum
     likelihood: each squared sum over its own degrees of freedom, repeated until it stands).
 
     Raises `InputError` without a gauge or with fewer measurements than free parameters, and
@@ -186,7 +206,7 @@ def fit(
     velocity = jnp.asarray(pushes.velocity)
     values = parameters.values(rig)
     centre = np.log([max(float(values[name]), 1e-3) for name in free])  # type: ignore[arg-type]
-    starts = _starts(free, centre)
+    starts = _starts(free, centre) if several_starts else jnp.asarray(centre)[None]
 
     spread = np.array([np.nanstd(row) if p.any() else 1.0 for row, p in zip(measured, present)])
     spread = np.maximum(0.05 * spread, 1e-12)
@@ -197,12 +217,14 @@ def fit(
         every = attempt == 0 or settled or attempt == _ROUNDS - 1
         starting = starts if every else jnp.broadcast_to(best_end, starts.shape)
         spreads = np.where(np.isnan(given), spread[:, None], given)
-        solution = _solve(rigs, velocity, measured, spreads, free, active, starting, integrator)
-        ends, chi2, ok, r, jacobian = map(np.asarray, solution)
+        problem = (rigs, velocity, measured, spreads, free, active)
+        ends, ok = map(np.asarray, _descend(*problem, starting, integrator))
+        r, jacobian, F, d = map(np.asarray, _linearise(*problem, ends, integrator))
+        chi2 = np.sum(r**2, axis=1)
         if not np.isfinite(chi2).any():
             raise NumericalError("fit: no start gives a finite misfit")
         best = int(np.nanargmin(chi2))
-        best_end = jnp.asarray(ends[best])
+        best_end, r, jacobian = jnp.asarray(ends[best]), r[best], jacobian[best]
         gone = _gone(free, jacobian) & active
         active = active & ~gone
         if settled:
@@ -211,7 +233,6 @@ def fit(
         settled = np.allclose(new, spread, rtol=1e-5) and not gone.any()
         spread = new
 
-    F, d = _predict(rigs, velocity, free, best_end, active, integrator)
     values = {n: float(np.exp(x)) * bool(on) for n, x, on in zip(free, best_end, active)}
     reached = int(np.sum(np.abs(chi2 - chi2[best]) < 1e-6 * max(chi2[best], 1.0)))
     covariance = np.zeros((len(free), len(free)))
@@ -226,8 +247,8 @@ def fit(
         reduced_chi2=float(chi2[best] / (present.sum() - active.sum())),
         converged=bool(ok[best]) and settled,
         starts_at_optimum=(reached, len(chi2)),
-        peak_force=np.asarray(F),
-        sliding_distance=np.asarray(d),
+        peak_force=F[best],
+        sliding_distance=d[best],
     )
 
 

@@ -1,0 +1,66 @@
+"""difffric: differentiable identification of sliding friction. SI units throughout."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+_HOME = {
+    "AbstractContact": "contact",
+    "AbstractFriction": "friction",
+    "ClosedForm": "closed_form",
+    "ConstantSpeed": "pusher",
+    "DifffricError": "errors",
+    "Diffrax": "integrate",
+    "InputError": "errors",
+    "NumericalError": "errors",
+    "Pushes": "pushes",
+    "Rig": "rig",
+    "Trajectory": "trajectory",
+    "UnilateralSpringDamper": "contact",
+    "ViscousCoulomb": "friction",
+    "family": "families",
+    "fit": "calibration",
+    "identify": "estimators",
+    "invert": "inversion",
+    "load_setup": "setup_file",
+    "observe": "observables",
+    "regime_margin": "sensitivity",
+    "sensitivity": "sensitivity",
+    "simulate": "trajectory",
+    "spring_damper_rig": "rig",
+}
+
+__all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
+
+if TYPE_CHECKING:
+    from difffric.closed_form import ClosedForm as ClosedForm
+    from difffric.contact import AbstractContact as AbstractContact
+    from difffric.contact import UnilateralSpringDamper as UnilateralSpringDamper
+    from difffric.errors import DifffricError as DifffricError
+    from difffric.errors import InputError as InputError
+    from difffric.errors import NumericalError as NumericalError
+    from difffric.estimators import identify as identify
+    from difffric.families import family as family
+    from difffric.calibration import fit as fit
+    from difffric.friction import AbstractFriction as AbstractFriction
+    from difffric.friction import ViscousCoulomb as ViscousCoulomb
+    from difffric.integrate import Diffrax as Diffrax
+    from difffric.inversion import invert as invert
+    from difffric.observables import observe as observe
+    from difffric.pusher import ConstantSpeed as ConstantSpeed
+    from difffric.pushes import Pushes as Pushes
+    from difffric.rig import Rig as Rig
+    from difffric.rig import spring_damper_rig as spring_damper_rig
+    from difffric.sensitivity import regime_margin as regime_margin
+    from difffric.sensitivity import sensitivity as sensitivity
+    from difffric.setup_file import load_setup as load_setup
+    from difffric.trajectory import Trajectory as Trajectory
+    from difffric.trajectory import simulate as simulate
+
+
+def __getattr__(name: str):
+    """Public names are imported when first used: a command pays only for what it needs."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'difffric' has no attribute {name!r}")
+    return getattr(importlib.import_module(f"difffric.{_HOME[name]}"), name)

@@ -1,0 +1,173 @@
+"""The command line: each command prints a table for a person and leaves its answer in --out."""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Differentiable identification of sliding friction.",
+)
+
+Setup = Annotated[Path, typer.Argument(help="the rig, a setup.toml", show_default=False)]
+Out = Annotated[Path | None, typer.Option(help="folder for result.json, report.html, figures")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="no progress on standard error")]
+
+
+def main() -> None:
+    """Entry point: bad input is one clear message and exit status 2, never a traceback."""
+    _prepare_jax()
+    from difffric.errors import DifffricError, InputError
+
+    try:
+        app(standalone_mode=True)
+    except InputError as error:
+        sys.stderr.write(f"difffric: {error}\n")
+        sys.exit(2)
+    except DifffricError as error:
+        sys.stderr.write(f"difffric: {error}\n")
+        sys.exit(1)
+
+
+def _prepare_jax() -> None:
+    """64 bits, and compiled programs kept in the user's cache folder between runs."""
+    os.environ.setdefault("JAX_ENABLE_X64", "1")
+    # Equinox's error callbacks would keep programs out of the cache; failures come as NaN and
+    # with a reason here.
+    os.environ.setdefault("EQX_ON_ERROR", "nan")
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "difffric" / "jax"
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")
+
+
+def _positive(name: str, value: float | None) -> float | None:
+    """An option's value, which must be a number > 0."""
+    from difffric.errors import InputError
+
+    if value is not None and not 0 < value < float("inf"):
+        raise InputError(f"{name}: expected a number > 0, got {value:g}")
+    return value
+
+
+def _rig(setup: Path, mu_s=None, mass_kg=None, stroke_mm=None):
+    """The set-up's rig with what the command line overrides."""
+    from difffric import parameters
+    from difffric.setup_file import load_setup
+    from difffric.units import from_mm
+
+    rig = load_setup(setup)
+    given = {"mu_s": _positive("--mu-s", mu_s), "mass_kg": _positive("--mass-kg", mass_kg)}
+    rig = parameters.with_values(rig, {k: v for k, v in given.items() if v is not None})
+    if _positive("--stroke-mm", stroke_mm) is not None:
+        rig = parameters.with_stroke(rig, from_mm(stroke_mm))
+    return rig
+
+
+@contextmanager
+def _progress(quiet: bool):
+    """Yields `tell(what, share done)`, shown on standard error."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
+        task = bar.add_task("starting", total=1.0)
+        yield lambda what, share: bar.update(task, description=what, completed=share)
+
+
+def _finish(report, answer, out: Path | None) -> None:
+    """Print the report's tables for a person; write the folder where one was asked for."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(highlight=False, markup=False)
+    for line in report.summary:
+        console.print(line)
+    for section in report.sections:
+        for table in section.tables:
+            shown = Table(title=table.caption, title_justify="left", title_style="bold")
+            for i, column in enumerate(table.columns):
+                shown.add_column(Text(column), justify="left" if i == 0 else "right")
+            for row in table.rows:
+                shown.add_row(*(Text(cell) for cell in row))
+            console.print(shown)
+    if out is not None:
+        from difffric.report import write
+
+        write(out, answer, report)
+        console.print(f"written to {out}: result.json, report.html, figures")
+
+
+def _check_out(out: Path | None) -> None:
+    """Say that a folder cannot be written before the work, not after it."""
+    if out is not None:
+        from difffric.report import writable
+
+        writable(out)
+
+
+@app.command()
+def simulate(
+    setup: Setup,
+    velocity_mm_min: Annotated[float, typer.Option(help="pusher speed [mm/min]")],
+    mu_s: Annotated[float | None, typer.Option(help="instead of the set-up's")] = None,
+    mass_kg: Annotated[float | None, typer.Option(help="instead of the set-up's")] = None,
+    stroke_mm: Annotated[float | None, typer.Option(help="instead of the set-up's")] = None,
+    out: Out = None,
+    quiet: Quiet = False,
+) -> None:
+    """One push: F_p, d, regime, and their derivatives in every parameter."""
+    _check_out(out)
+    rig = _rig(setup, mu_s, mass_kg, stroke_mm)
+    _positive("--velocity-mm-min", velocity_mm_min)
+    from difffric.answer_simulate import simulate_answer, simulate_pictures, simulate_report
+    from difffric.units import from_mm_min
+
+    with _progress(quiet) as tell:
+        tell("simulating", 0.0)
+        answer = simulate_answer(rig, from_mm_min(velocity_mm_min))
+    pictures = () if out is None else simulate_pictures(rig, from_mm_min(velocity_mm_min))
+    _finish(simulate_report(answer, velocity_mm_min, rig, pictures), answer, out)
+
+
+@app.command()
+def family(setup: Setup, out: Out = None, quiet: Quiet = False) -> None:
+    """The curve families over speed and mu_s, the fits (3) and (5), their inverses (4), (6)."""
+    _check_out(out)
+    rig = _rig(setup)
+    from difffric.answer_family import family_answer, family_report
+    from difffric.families import family as curves
+
+    with _progress(quiet) as tell:
+        tell("simulating 494 pushes", 0.0)
+        grid = curves(rig)
+    answer = family_answer(grid)
+    _finish(family_report(answer, grid, rig), answer, out)
+
+
+@app.command()
+def paper(out: Out = None, quiet: Quiet = False) -> None:
+    """The paper's Tables I-V and Figures II.3-II.6, beside the differentiable model's answers."""
+    _check_out(out)
+    from difffric.answer_paper import paper_report
+    from difffric.paper import study
+
+    with _progress(quiet) as tell:
+        found = study(tell)
+    _finish(paper_report(found), found.as_dict(), out)
+
+
+if __name__ == "__main__":
+    main()
