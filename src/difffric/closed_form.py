@@ -80,7 +80,8 @@ class ClosedForm(eqx.Module):
         turn = _unless_steady(osc, xi, w, z_e, osc.turning_time(xi, w, 1.0))
         halt = jnp.inf
         if may_halt:  # not where one cycle is all: from rest the part only speeds up
-            falling = dw > 0
+            # With mu_k = mu_s the breakaway has no acceleration: its rounding is no fall.
+            falling = dw > 1e-12 * osc.omega0_sq * z_e
             top = osc.turning_time(w, jnp.where(falling, dw, 1.0), 1.0)
             halts = falling & (osc.extremum(w, dw, jnp.where(falling, top, 0.0)) > v_p)
             top = jnp.where(halts, top, 0.0)
@@ -103,10 +104,9 @@ class ClosedForm(eqx.Module):
         top = osc.turning_time(jnp.where(rises, N, -1.0), jnp.where(rises, dN, 0.0), 1.0)
         inside = rises & (top <= dt) & jnp.isfinite(top)
         summit = osc.extremum(N, dN, jnp.where(inside, top, 0.0))
-        # Overdamped and never turning, the force creeps up to its equilibrium.
-        creeps = jnp.isinf(dt)
-        at_end = jnp.where(creeps, 0.0, k * end[0] + b * end[1])
-        return N_e + jnp.where(rises, jnp.where(inside, summit, at_end), N)
+        # Overdamped, the force may dip first, and creep up to its equilibrium without an end.
+        at_end = jnp.where(jnp.isinf(dt), 0.0, k * end[0] + b * end[1])
+        return N_e + jnp.where(inside, summit, jnp.where(at_end > N, at_end, N))
 
     def rebounding(self, rig, z, u, v_p, left):
         """The part recedes from the tip, until release, w = 0 or the pusher's stop."""
@@ -122,7 +122,7 @@ class ClosedForm(eqx.Module):
         cosine = jnp.where(leaves, z_e / jnp.where(leaves, depth, 1.0), 0.0)
         sine = jnp.sqrt(jnp.maximum(1.0 - cosine**2, 1e-30))
         phase = jnp.arctan2(sine, cosine)
-        omega = jnp.sqrt(jnp.abs(osc.discriminant))
+        omega = jnp.sqrt(jnp.where(osc.discriminant == 0, 1.0, jnp.abs(osc.discriminant)))
         phase = phase - osc.alpha / omega * (1.0 - phase * cosine / sine)
         guess = t_turn - phase / omega
         args = (osc.alpha, osc.omega0_sq, xi, w, z_e)

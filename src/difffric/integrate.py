@@ -1,20 +1,20 @@
-"""The integrating integrator: legs of a push for any smooth laws, on diffrax's steps.
+"""The integrator for any smooth laws: legs of a push in diffrax's Runge-Kutta steps.
 
 A leg is followed step by step in one smooth right-hand side. A step at whose end an event has
 passed is the last. The event's time is the bracketed root over that step's own length, the
-solver stepping anew from the step's start: no interpolant comes in, and two events within one
+method stepping anew from the step's start: no interpolant comes in, and two events within one
 step are put in order by their times.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from jax.lax import stop_gradient
 
@@ -27,7 +27,7 @@ from difffric.roots import falling_root
 from difffric.units import GRAVITY
 
 _TINY = 1e-30  # [m], [m/s]: keeps a power law's second derivative finite at zero
-_LARGEST = 1e3  # [m]: a force not reached by this compression is never reached
+_SMALLEST, _LARGEST = 1e-9, 1e3  # [m]: the compressions between which a force is looked for
 
 
 def _odd(law, x):
@@ -67,7 +67,7 @@ class _Friction(AbstractFriction):
 class _Motion(eqx.Module):
     """The right-hand side of one mode, in scaled states y = (z / z_0, u / u_0).
 
-    z_0 [m] is the compression under the part's own weight and u_0 = sqrt(z_0 g) [m/s].
+    z_0 [m] is about the compression under the part's own weight, u_0 = sqrt(z_0 g) [m/s].
     """
 
     rig: Rig
@@ -80,7 +80,7 @@ class _Motion(eqx.Module):
         """The motion of a rig in a mode: "approach", "rebound" or "free"."""
         laws = _Friction(rig.friction), _Contact(rig.contact)
         rig = eqx.tree_at(lambda r: (r.friction, r.contact), rig, laws)
-        z_0 = jnp.minimum(stop_gradient(_compression(rig.contact, 0.0, rig.F_N)), 1.0)
+        z_0 = stop_gradient(_reach(rig.contact, 0.0, rig.F_N))
         return cls(rig, v_p, jnp.stack([z_0, jnp.sqrt(z_0 * GRAVITY)]), mode)
 
     @property
@@ -204,7 +204,18 @@ class Diffrax(eqx.Module):
 
     def breakaway(self, rig, v_p):
         """Compression [m] at which a part at rest starts to slide; 0: at once."""
-        return _compression(rig.contact, v_p, rig.friction.breakaway(rig.F_N))
+        law, F_S = _Contact(rig.contact), rig.friction.breakaway(rig.F_N)
+        dynamic, static = eqx.partition((law, v_p, F_S), _is_number)
+
+        def lack(z, dynamic):
+            law, v_p, F_S = eqx.combine(dynamic, static)
+            N, slope = jax.jvp(lambda z: law.approach(z, v_p), (z,), (jnp.ones_like(z),))
+            return F_S - N, -slope
+
+        sticks = law.approach(0.0, v_p) < F_S
+        far = jnp.where(sticks, _reach(law, v_p, F_S), 0.0)
+        z = falling_root(lack, dynamic, 0.0, stop_gradient(far), 0.5 * stop_gradient(far))
+        return jnp.where(sticks, jnp.where(far < _LARGEST, z, jnp.inf), 0.0)
 
     def closing(self, rig, z, u, v_p, left, may_halt):
         """The tip closes in on the part, until w = 0, the part halts or the pusher stops."""
@@ -333,7 +344,7 @@ class Diffrax(eqx.Module):
         return jax.lax.while_loop(lambda m: ~m.over & (m.count < self.max_steps), step, start)
 
     def _step(self, motion, y, h):
-        """One step of the length h [s]: the state after it, and its error."""
+        """One step of the length h [s]: the state after it, and its error. Written out: fast."""
         tableau = self.solver.tableau
 
         def weighted(weights):
@@ -345,7 +356,11 @@ class Diffrax(eqx.Module):
         return y + weighted(tableau.b_sol), weighted(tableau.b_error)
 
     def _flow(self, motion, y, h):
-        return self._step(motion, y, h)[0]
+        """The state after the same step, by diffrax's loop over the stages: compiles sooner."""
+        terms = diffrax.ODETerm(lambda t, y, args: motion(y))
+        solver = dataclasses.replace(self.solver, scan_kind="lax")
+        state = solver.init(terms, 0.0, h, y, None)
+        return solver.step(terms, 0.0, h, y, None, state, False)[0]
 
     def _root(self, motion, guard, step, passed, upto):
         """How far into a step [s] a guard falls to zero; infinite unless it has passed."""
@@ -387,26 +402,13 @@ def _dip(motion, y_0, y_1, h):
     return jnp.where(dips, bottom, h)
 
 
-def _compression(contact, v_p, force):
-    """Compression [m] that carries a force [N] at the approach speed v_p; 0: less than none."""
+def _reach(contact, v_p, force):
+    """A compression [m] that carries a force [N], and at most four times the least that does."""
 
     def short(z):
-        return contact.approach(z, v_p) < force
+        return (contact.approach(z, v_p) < force) & (z < _LARGEST)
 
-    far = jax.lax.while_loop(
-        lambda z: short(z) & (z < _LARGEST), lambda z: 4 * z, jnp.asarray(1e-9)
-    )
-    dynamic, static = eqx.partition((contact, v_p, force), _is_number)
-
-    def lack(z, dynamic):
-        contact, v_p, force = eqx.combine(dynamic, static)
-        N, slope = jax.jvp(lambda z: contact.approach(z, v_p), (z,), (jnp.ones_like(z),))
-        return force - N, -slope
-
-    some = short(0.0)
-    far = jnp.where(some, far, 0.0)
-    z = falling_root(lack, dynamic, 0.0, far, 0.5 * far)
-    return jnp.where(some, jnp.where(short(far) & (far >= _LARGEST), jnp.inf, z), 0.0)
+    return jax.lax.while_loop(short, lambda z: 4 * z, jnp.asarray(_SMALLEST))
 
 
 def _is_number(leaf):

@@ -44,8 +44,10 @@ def observables(push: sim.Push, state: sim.State) -> Observables:
     too_many = state.contacts > sim.MAX_CONTACTS
     too_long = state.cycles >= sim.MAX_CYCLES
     left = state.lost & ~state.in_contact
+    # Behind a standing tip an overdamped rebound comes to rest too, if only asymptotically.
+    for_ever = state.endless & (state.segment.v_p > 0)
     reason = jnp.select(
-        [too_many, too_long, state.endless, ~left],
+        [too_many, too_long, for_ever, ~left],
         [sim.TOO_MANY_CONTACTS, sim.TOO_MANY_CYCLES, sim.NEVER_RELEASED, sim.RESTS_IN_CONTACT],
         sim.OK,
     )

@@ -1,0 +1,1 @@
+"""Reference answers to single pushes, computed without the library under test."""
