@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import equinox as eqx
 import numpy as np
 
 from difffric import figures, parameters
 from difffric.paper import Paper, misprints
 from difffric.report import NO_STROKE, Picture, Report, Section, Table, number, with_error
-from difffric.push import Push
-from difffric.trajectory import Trajectory
+from difffric.trajectory import simulate
 from difffric.units import to_mm, to_mm_min, to_um
 
 
@@ -189,12 +187,11 @@ def _misprints_table() -> Table:
 
 def _paper_figures(paper: Paper) -> list[Picture]:
     speed = paper.pushes.velocity[3]
-    follow = eqx.filter_jit(Trajectory.of)
     push = {}
     for condition in ("DRY", "OILY"):
         gauge = paper.pushes.mu_s_gauge[paper.pushes.condition.index(condition)]
         rig = parameters.with_values(paper.calibration.rig, {"mu_s": float(gauge)})
-        push[condition] = follow(Push.of(rig, speed))
+        push[condition] = simulate(rig, speed)
     where = f"18.9 kg, {to_mm_min(speed):.0f} mm/min, calibrated"
     return [
         Picture("figure_II_3", f"Figure II.3: position ({where}).", figures.response(push, "position")),

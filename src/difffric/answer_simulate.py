@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from difffric import parameters
@@ -15,7 +16,7 @@ from difffric.units import from_mm_min, to_um
 
 def simulate_answer(rig: Rig, velocity: float) -> dict:
     """One push, as `difffric simulate` writes it."""
-    found = eqx.filter_jit(sensitivity)(rig, velocity)
+    found = eqx.filter_jit(sensitivity)(parameters.as_arrays(rig), jnp.asarray(velocity, float))
     seen = found.observables
     margin = regime_margin(rig, velocity)
     reason = REASONS[int(seen.reason)]
@@ -41,10 +42,9 @@ def simulate_answer(rig: Rig, velocity: float) -> dict:
 def simulate_pictures(rig: Rig, velocity: float) -> list[Picture]:
     """Position and force over time."""
     from difffric.figures import response
-    from difffric.push import Push
-    from difffric.trajectory import Trajectory
+    from difffric.trajectory import simulate
 
-    push = {"": eqx.filter_jit(Trajectory.of)(Push.of(rig, velocity))}
+    push = {"": simulate(rig, velocity)}
     return [
         Picture("position", "Position of the part over time.", response(push, "position")),
         Picture("force", "Contact force over time; dotted: F_p.", response(push, "force")),

@@ -153,7 +153,7 @@ def _combine(pushes, i, force, distance, se, gradient, calibration, range_ratio,
         used = weights != 0
         return Estimate(float(weights[used] @ mu[used]), error(weights))
 
-    none = Estimate(None)
+    none, reasons = Estimate(None), [x.reason for x in pair if x.reason]
     single = [estimate(np.eye(2)[j]) if exists[j] else none for j in range(2)]
     by_7, weights, best = none, None, none
     if exists.all():
@@ -163,9 +163,10 @@ def _combine(pushes, i, force, distance, se, gradient, calibration, range_ratio,
         if np.isfinite(covariance).all():
             w = np.linalg.solve(covariance, np.ones(2))
             best = estimate(w / w.sum())
+        else:
+            reasons.append("no optimum: the noise of F_p or of d is not known")
     elif exists.any():
         best = single[int(np.argmax(exists))]
-    reasons = [x.reason for x in pair if x.reason]
     return PushFriction(
         velocity=float(pushes.velocity[i]),
         condition=pushes.condition[i],

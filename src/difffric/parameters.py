@@ -59,6 +59,11 @@ def with_stroke(rig: Rig, stroke) -> Rig:
     return eqx.tree_at(lambda r: r.pusher, rig, ConstantSpeed(stroke))
 
 
+def as_arrays(rig: Rig) -> Rig:
+    """The rig with every number an array, so that one compiled program serves all rigs."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), rig)
+
+
 def spread(rig: Rig, n: int) -> Rig:
     """n copies of a rig in one, every number an array of that length, to be vmapped over."""
 

@@ -63,6 +63,7 @@ def regime_margin(rig: Rig, velocity, integrator=None) -> Margin:
     Infinite where the scan finds no change.
     """
     mu_s = float(parameters.values(rig)["mu_s"])
+    rig, velocity = parameters.as_arrays(rig), jnp.asarray(velocity, float)
     here = int(_kinds(rig, velocity, integrator, np.full(96, mu_s))[0])
     steps = [np.geomspace(1e-8, top, 48) for top in (0.999, 9.0)]
     found = [np.inf, np.inf]

@@ -128,7 +128,8 @@ def simulate(
     checked(rig)
     if not isinstance(velocity, jax.core.Tracer) and not np.all((velocity > 0) & np.isfinite(velocity)):
         raise InputError(f"velocity: expected a number > 0, got {velocity}")
-    return _follow(Push.of(rig, velocity, integrator))
+    push = Push.of(rig, velocity, integrator)
+    return _follow(push._replace(rig=parameters.as_arrays(rig), velocity=jnp.asarray(velocity, float)))
 
 
 @eqx.filter_jit
