@@ -67,7 +67,9 @@ def test_every_root_gives_the_measured_distance():
         roots = jnp.array(a.alternatives)
         if not len(roots):
             continue
-        copies = parameters.with_values(parameters.pick(rig, np.zeros(len(roots), int)), {"mu_s": roots})
+        copies = parameters.with_values(
+            parameters.pick(rig, np.zeros(len(roots), int)), {"mu_s": roots}
+        )
         again = np.asarray(observe(copies, jnp.full(len(roots), v)).sliding_distance)
         np.testing.assert_allclose(again, target, rtol=1e-8)
 
@@ -122,7 +124,9 @@ def test_errors_and_weights_of_one_push():
     rig = df.spring_damper_rig(**PAPER)
     point = sensitivity(rig, 0.05)
     F, d = (float(getattr(point.observables, q)) for q in QUANTITIES)
-    pushes = df.Pushes([0.05], [F + 1.0], [d + 5e-5], peak_force_se=[0.7], sliding_distance_se=[3e-5])
+    pushes = df.Pushes(
+        [0.05], [F + 1.0], [d + 5e-5], peak_force_se=[0.7], sliding_distance_se=[3e-5]
+    )
     (answer,) = df.identify(rig, pushes, range_ratio=4e4)
     s = [answer.mu_s_force.standard_error, answer.mu_s_distance.standard_error]
     assert s[0] == pytest.approx(0.7 / float(point.peak_force["mu_s"]), rel=0.05)

@@ -2,6 +2,7 @@
 
 from functools import partial
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -87,9 +88,12 @@ def curved_pushes(point, stroke):
 
 
 def with_jacobian(point, stroke, integrator):
-    f = partial(affine_push, stroke=stroke, integrator=integrator)
-    J, seen = jax.jacfwd(f, has_aux=True)(point)
-    return f(point)[0], J, seen
+    def f(point):
+        value, seen = affine_push(point, stroke, integrator)
+        return value, (value, seen)
+
+    J, (value, seen) = jax.jacfwd(f, has_aux=True)(point)
+    return value, J, seen
 
 
 def test_agrees_with_the_closed_form_in_values_and_derivatives():
@@ -110,88 +114,194 @@ def test_agrees_with_the_closed_form_in_values_and_derivatives():
     np.testing.assert_allclose((relative_1 / size)[known], (relative_0 / size)[known], atol=1e-6)
 
 
+def dop853_leg(mode, laws, t, y, x, u, v_p, until):
+    """One leg by scipy: its end, the name of its event (None: `until`) and its highest force."""
+    spring, stiffness, b, friction, mass = laws
+
+    def z(s, q):
+        return y + v_p * (s - t) - q[0]
+
+    def force(s, q):
+        damper = b * (v_p - q[1]) if mode == "closing" else 0.0
+        return 0.0 if mode == "free" else spring(z(s, q)) + damper
+
+    def acceleration(s, q):
+        return (force(s, q) - friction(q[1])) / mass
+
+    def rise(s, q):
+        return stiffness(z(s, q)) * (v_p - q[1]) - b * acceleration(s, q)
+
+    def event(f, direction, terminal=True):
+        def g(s, q):
+            return f(s, q)
+
+        g.direction, g.terminal = direction, terminal
+        return g
+
+    level = event(lambda s, q: v_p - q[1], -1 if mode == "closing" else 1)
+    rest = event(lambda s, q: q[1], -1)
+    names, events = {
+        "closing": (("w", "u"), (level, rest, event(rise, -1, terminal=False))),
+        "rebounding": (("w", "z"), (level, event(z, -1))),
+        "free": (("u", "z"), (rest, event(z, 1))),
+    }[mode]
+    run = solve_ivp(
+        lambda s, q: (q[1], acceleration(s, q)),
+        (t, until),
+        (x, u),
+        "DOP853",
+        events=events,
+        rtol=1e-12,
+        atol=1e-15,
+    )
+    seen = [(t, (x, u)), (run.t[-1], run.y[:, -1])]
+    if mode == "closing":
+        seen += zip(run.t_events[2], run.y_events[2], strict=True)
+    fired = [name for name, times in zip(names, run.t_events, strict=False) if len(times)]
+    return run.t[-1], *run.y[:, -1], *(fired or [None]), max(force(s, q) for s, q in seen)
+
+
 def reference(point, stroke):
-    """(F_p, d, contacts) by DOP853, its modes and events written anew: the dumb reference."""
+    """(F_p, d, contacts) of `curved_push` with modes and events written anew."""
     mu_s, rise, v_s, k, n, b, mass, v = point
-
-    def friction(u):
-        return 0.75 * mu_s * mass * G * (1 + rise * np.exp(-((u / v_s) ** 2)))
-
-    def spring(z):
-        return k * np.maximum(z, 0.0) ** n
-
-    F_S = mu_s * mass * G
-    stands_at_release = not np.isfinite(stroke)
-    t, x, u, v_p, peak, lost_at, contacts = 0.0, 0.0, 0.0, v, 0.0, None, 1
-    t_stop = stroke / v
-    mode = "stuck"
-    for _ in range(200):
-        z = min(v * t, stroke) - x if v_p > 0 or not stands_at_release else tip - x
+    laws = (
+        lambda z: k * max(z, 0.0) ** n,
+        lambda z: k * n * max(z, 0.0) ** (n - 1),
+        b,
+        lambda u: 0.75 * mu_s * mass * G * (1 + rise * np.exp(-((u / v_s) ** 2))),
+        mass,
+    )
+    z_b = (max(mu_s * mass * G - b * v, 0.0) / k) ** (1 / n)
+    t = y = x = u = peak = 0.0
+    v_p, t_stop, mode, lost, contacts = v, stroke / v, "stuck", None, 1
+    while mode != "stuck" or v_p > 0:
         if mode == "stuck":
-            if v_p == 0:
-                return peak, np.nan if lost_at is None or z > 0 else x - lost_at, contacts
-            z_b = max((F_S - b * v) / k, 0.0) ** (1 / n)
-            wait = (z_b - z) / v
-            if z < 0 and t + wait <= t_stop:
-                contacts, lost_at = contacts + 1, None
-            if t + wait > t_stop:
-                t, v_p = t_stop, 0.0
-                continue
-            t, mode = t + wait, "closing"
+            wait = (z_b - (y - x)) / v
+            assert wait < t_stop - t, "a push that ends stuck on the tip is not in this test"
+            if y < x:
+                contacts, lost = contacts + 1, None
+            t, y, mode = t + wait, y + v * wait, "closing"
             continue
-        tip_at = (lambda s, y=z + x, t=t, v_p=v_p: y + v_p * (s - t))
-        approach = b if mode == "closing" else 0.0
-        force = (
-            (lambda s, q: 0.0)
-            if mode == "free"
-            else (lambda s, q: spring(tip_at(s) - q[0]) + approach * (v_p - q[1]))
-        )
-        events = {
-            "w": lambda s, q: v_p - q[1],
-            "u": lambda s, q: q[1],
-            "z": lambda s, q: tip_at(s) - q[0],
-        }
-        down, up = -1, 1
-        wanted = {
-            "closing": [("w", down), ("u", down)],
-            "rebounding": [("z", down), ("w", up)],
-            "free": [("u", down), ("z", up)],
-        }[mode]
-        chosen = []
-        for name, direction in wanted:
-            event = partial(lambda s, q, f: f(s, q), f=events[name])
-            event = _event(event, direction)
-            chosen.append(event)
-        if mode == "closing":  # and the force's summit, not terminal
-            slope = lambda s, q: k * n * np.maximum(tip_at(s) - q[0], 0.0) ** (n - 1) * (  # noqa: E731
-                v_p - q[1]
-            ) - b * (force(s, q) - friction(q[1])) / mass
-            chosen.append(_event(slope, down, terminal=False))
-        end = t_stop if v_p > 0 and np.isfinite(t_stop) else t + 5.0
-        run = solve_ivp(
-            lambda s, q: [q[1], (force(s, q) - friction(q[1])) / mass],
-            (t, end), [x, u], "DOP853", events=chosen, rtol=1e-12, atol=1e-15, first_step=1e-6,
-        )
-        if mode == "closing":
-            seen = [force(t, (x, u)), force(run.t[-1], run.y[:, -1])]
-            seen += [force(s, q) for s, q in zip(run.t_events[-1], run.y_events[-1], strict=True)]
-            peak = max(peak, *seen)
-        t, (x, u) = run.t[-1], run.y[:, -1]
-        if run.status == 0:
-            v_p = 0.0
-            mode = "rebounding" if mode == "closing" else mode
-            continue
-        which = next(w for (w, _), ts in zip(wanted, run.t_events, strict=False) if len(ts))
-        if mode == "closing":
-            mode, u = ("rebounding", v_p) if which == "w" else ("stuck", 0.0)
-        elif mode == "rebounding" and which == "z":
-            mode, lost_at = "free", x
-            if stands_at_release:
-                v_p, tip = 0.0, x
+        until = t_stop if v_p > 0 and np.isfinite(t_stop) else t + 5.0
+        t_1, x, u, fired, highest = dop853_leg(mode, laws, t, y, x, u, v_p, until)
+        y, t, peak = y + v_p * (t_1 - t), t_1, max(peak, highest)
+        if fired is None:
+            v_p, mode = 0.0, "rebounding" if mode == "closing" else mode
+        elif fired == "u":
+            u, mode = 0.0, "stuck"
+        elif fired == "w":
+            u = v_p
+            mode = "rebounding" if mode == "closing" else "closing" if v_p > 0 else "stuck"
         elif mode == "rebounding":
-            mode = "closing" if v_p > 0 else "stuck"
+            x, lost, mode = y, x, "free"
+            v_p = v_p if np.isfinite(stroke) else 0.0
         else:
-            mode, u = ("stuck", 0.0) if which == "u" else ("closing", u)
-            if mode == "closing":
-                contacts, lost_at = contacts + 1, None
-    raise AssertionError("too many legs")
+            x, lost, mode, contacts = y, None, "closing", contacts + 1
+    return peak, np.nan if lost is None else x - lost, contacts
+
+
+def curved_points():
+    """Rows of (mu_s, rise, v_s, k, n, b, mass, velocity), and strokes."""
+    rng = np.random.default_rng(8)
+    count = 10
+    columns = (
+        rng.uniform(0.1, 0.2, count),
+        rng.uniform(0.1, 0.3, count),
+        rng.uniform(0.02, 0.08, count),
+        10 ** rng.uniform(8.0, 8.6, count),
+        np.full(count, 1.5),
+        rng.uniform(0, 900, count),
+        rng.uniform(8, 20, count),
+        rng.uniform(1000, 3000, count) / 60e3,
+    )
+    return np.stack(columns, axis=1), np.where(np.arange(count) % 2, 1.5e-3, np.inf)
+
+
+def test_agrees_with_scipy_on_a_users_own_laws():
+    points, strokes = curved_points()
+    value, slope, seen = curved_pushes(points, strokes)
+    expected = [reference(*row) for row in zip(points, strokes, strict=True)]
+    assert np.isfinite(value).all() and np.max(seen.contacts) >= 2
+    np.testing.assert_array_equal(seen.contacts, [e[2] for e in expected])
+    np.testing.assert_allclose(value, [e[:2] for e in expected], rtol=1e-7)
+    weights = {-2: 1 / 12, -1: -8 / 12, 1: 8 / 12, 2: -1 / 12}
+    for i, (point, stroke) in enumerate(zip(points, strokes, strict=True)):
+        h = 1e-3 * point[0]
+        moved = {j: reference((point[0] + j * h, *point[1:]), stroke)[:2] for j in weights}
+        difference = sum(w / h * np.array(moved[j]) for j, w in weights.items())
+        np.testing.assert_allclose(slope[i], difference, rtol=2e-6, err_msg=f"push {i}")
+
+
+def test_exponent_one_and_no_stribeck_rise_are_the_spring_damper():
+    points, strokes = random_rigs(10, seed=4)
+    points[:, 3] = 0.0
+    mu_s, k, b, k_v, mass, velocity = points.T
+    one = np.ones_like(k)
+    curved = np.stack([mu_s, 0 * one, 0.05 * one, k, one, b, mass, velocity], axis=1)
+    value, _, seen = curved_pushes(curved, strokes)
+    closed_form = jax.jit(jax.vmap(partial(affine_push, integrator=ClosedForm())))
+    expected, expected_seen = closed_form(points, strokes)
+    np.testing.assert_array_equal(seen.kind, expected_seen.kind)
+    np.testing.assert_allclose(value, expected, rtol=1e-7)
+
+
+def test_second_derivatives_are_right():
+    points, _ = random_rigs(8, seed=5)
+    direction = jnp.array([1.0, -0.7, 0.5, 0.2, 0.6, 0.8])
+
+    def second(integrator):
+        def along(s, point):
+            return affine_push(point * (1 + s * direction), None, integrator)[0]
+
+        def slope(s, point):
+            return jax.jvp(lambda s: along(s, point), (s,), (1.0,))[1]
+
+        twice = jax.vmap(lambda point: jax.jvp(lambda s: slope(s, point), (0.0,), (1.0,)))
+        return jax.jit(twice)(points)
+
+    (_, exact), (_, ours) = second(ClosedForm()), second(Diffrax())
+    assert np.sum(exact != 0) >= 13  # a distance that does not exist has none
+    np.testing.assert_allclose(ours, exact, rtol=1e-6)
+
+
+def test_breakaway_is_the_laws_own():
+    rig = Rig(10.0, Stribeck(0.2, 0.1, 0.05), Hertz(2e8, 1.5, 500.0))
+
+    def breakaway(mu_s, velocity):
+        moved = Rig(rig.mass, Stribeck(mu_s, 0.1, 0.05), rig.contact)
+        return Diffrax().breakaway(moved, velocity)
+
+    z_b = ((0.2 * 10 * G - 500 * 0.01) / 2e8) ** (1 / 1.5)
+    value, slope = jax.jvp(lambda mu: breakaway(mu, 0.01), (0.2,), (1.0,))
+    assert value == pytest.approx(z_b, rel=1e-12)
+    assert slope == pytest.approx(z_b / 1.5 * 10 * G / (0.2 * 10 * G - 5), rel=1e-12)
+    assert breakaway(0.2, 0.05) == 0.0
+
+
+@pytest.mark.parametrize("closing", [True, False])
+def test_states_within_a_leg(closing):
+    rig = spring_damper_rig(mass=18.9, mu_s=0.14, k=8.5e5, b=2000.0, k_v=5.0)
+    t = jnp.linspace(0.0, 5e-3, 7)
+    start = (1e-5, 0.02, 0.03) if closing else (5e-5, 0.05, 0.03)
+
+    def states(integrator):
+        pushed = jax.vmap(lambda t: integrator.pushed_state(rig, closing, *start, t))(t)
+        return *pushed, *jax.vmap(lambda t: integrator.free_state(rig, 0.02, t))(t)
+
+    for ours, exact in zip(states(Diffrax()), states(ClosedForm()), strict=True):
+        np.testing.assert_allclose(ours, exact, rtol=1e-8, atol=1e-14)
+
+
+def test_a_push_that_takes_too_many_steps_is_not_answered():
+    rig = spring_damper_rig(mass=18.9, mu_s=0.14, k=8.5e5, b=2000.0)
+    seen = jax.jit(lambda v: observe(rig, v, Diffrax(max_steps=5)))(0.03)
+    assert not np.isfinite(seen.peak_force) and np.isnan(seen.sliding_distance)
+
+
+def test_refusals():
+    curved = Rig(10.0, Stribeck(0.2, 0.1, 0.05), Hertz(2e8, 1.5, 500.0))
+    with pytest.raises(InputError, match="Stribeck with Hertz is not"):
+        ClosedForm().check(curved)
+    Diffrax().check(curved)
+    with pytest.raises(InputError, match="explicit Runge-Kutta method"):
+        Diffrax(solver=diffrax.Kvaerno5()).check(curved)

@@ -25,7 +25,11 @@ def test_23_of_24_printed_values_follow_from_their_formulas():
     rows = [r for r in paper.printed() if r.measured is not None]
     assert len(rows) == 24
     (misprint,) = paper.misprints()
-    assert (misprint["table"], misprint["velocity_mm_min"], misprint["printed"]) == ("IV", 1000, 0.193)
+    assert (misprint["table"], misprint["velocity_mm_min"], misprint["printed"]) == (
+        "IV",
+        1000,
+        0.193,
+    )
     # Its own printed error of -29.5 % says the same.
     assert misprint["recomputed"] == pytest.approx(0.135 * (1 - 0.295), abs=0.002)
 
@@ -89,7 +93,9 @@ def test_no_speed_is_judged_by_a_calibration_that_saw_it(study):
     )
     ratio = study.families.range_ratio
     answer = df.identify(blind, measured.select(judged), range_ratio=ratio)
-    for mine, theirs in zip(answer, [study.identified[i] for i in np.flatnonzero(judged)], strict=True):
+    for mine, theirs in zip(
+        answer, [study.identified[i] for i in np.flatnonzero(judged)], strict=True
+    ):
         assert mine.mu_s_distance.value == pytest.approx(theirs.mu_s_distance.value, rel=1e-4)
         assert mine.mu_s_force.value == pytest.approx(theirs.mu_s_force.value, rel=1e-3)
 
@@ -102,7 +108,8 @@ def test_the_answer_has_the_contract_s_fields(study, tmp_path):
     assert [r["velocity_mm_min"] for r in rows[:6]] == [500, 1000, 2000, 3000, 4000, 5000]
     fields = {
         "table", "condition", "velocity_mm_min", "mu_s_gauge", "mu_s_printed",
-        "error_percent_printed", "mu_s_surrogate", "mu_s_model", "mu_s_model_standard_error", "reason",
+        "error_percent_printed", "mu_s_surrogate", "mu_s_model", "mu_s_model_standard_error",
+        "reason",
     }  # fmt: skip
     for r in rows:
         assert fields <= set(r)
@@ -112,21 +119,25 @@ def test_the_answer_has_the_contract_s_fields(study, tmp_path):
         assert set(answer["calibration"]["parameters"][name]) == {"value", "standard_error"}
     page = (tmp_path / "report.html").read_text()
     assert "http" not in page.replace("http://www.w3.org", "")
-    for figure in ("figure_II_3", "figure_II_4", "figure_II_5", "figure_II_6", "residuals", "identified"):
+    for figure in (
+        "figure_II_3",
+        "figure_II_4",
+        "figure_II_5",
+        "figure_II_6",
+        "residuals",
+        "identified",
+    ):
         assert (tmp_path / f"{figure}.png").stat().st_size > 10_000
 
 
 def test_from_the_distance_the_model_beats_the_paper_where_it_can_reach(study):
     """2000 mm/min and above, on speeds not calibrated on: what the report's first line says."""
-    rows = [
-        r for r in study.rows() if r["table"] in ("III", "IV") and r["velocity_mm_min"] >= 2000
-    ]
+    rows = [r for r in study.rows() if r["table"] in ("III", "IV") and r["velocity_mm_min"] >= 2000]
     ours = np.array([abs(r["mu_s_model"] / r["mu_s_gauge"] - 1) for r in rows])
     theirs = np.array([abs(r["error_percent_printed"]) / 100 for r in rows])
     assert ours.max() < 0.06 and ours.mean() < 0.3 * theirs.mean()
 
 
 def test_numbers_that_do_not_exist_are_null():
-    assert plain({"a": np.nan, "b": [np.inf, 1], "c": np.float64(2), "d": None, "e": np.bool_(True)}) == {
-        "a": None, "b": [None, 1], "c": 2.0, "d": None, "e": True,
-    }  # fmt: skip
+    given = {"a": np.nan, "b": [np.inf, 1], "c": np.float64(2), "d": None, "e": np.bool_(True)}
+    assert plain(given) == {"a": None, "b": [None, 1], "c": 2.0, "d": None, "e": True}

@@ -58,9 +58,7 @@ def test_momentum_is_conserved(rig, velocity, stroke):
     clear = np.abs(t[:, None] - edges).min(axis=1) > 2 * h
     sliding = clear & (speed > 1e-9)
     scale = np.max(np.abs(balance)) + 1.0
-    np.testing.assert_allclose(
-        rig["mass"] * slope[sliding], balance[sliding], atol=2e-5 * scale
-    )
+    np.testing.assert_allclose(rig["mass"] * slope[sliding], balance[sliding], atol=2e-5 * scale)
 
 
 @settings(max_examples=60, deadline=None)

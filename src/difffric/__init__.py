@@ -34,6 +34,7 @@ _HOME = {
 __all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
 
 if TYPE_CHECKING:
+    from difffric.calibration import fit as fit
     from difffric.closed_form import ClosedForm as ClosedForm
     from difffric.contact import AbstractContact as AbstractContact
     from difffric.contact import UnilateralSpringDamper as UnilateralSpringDamper
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
     from difffric.errors import NumericalError as NumericalError
     from difffric.estimators import identify as identify
     from difffric.families import family as family
-    from difffric.calibration import fit as fit
     from difffric.friction import AbstractFriction as AbstractFriction
     from difffric.friction import ViscousCoulomb as ViscousCoulomb
     from difffric.integrate import Diffrax as Diffrax

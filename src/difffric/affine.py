@@ -90,9 +90,7 @@ class Oscillator(NamedTuple):
         over = (D < 0) & ~small & (Q > beta * W)
         r = jnp.where(over, beta * ratio, 0.0)
         hyperbolic = 0.5 * jnp.log1p(2 * r / (1 - r)) / beta
-        return jnp.where(
-            small, near, jnp.where(under, trig, jnp.where(over, hyperbolic, jnp.inf))
-        )
+        return jnp.where(small, near, jnp.where(under, trig, jnp.where(over, hyperbolic, jnp.inf)))
 
     def extremum(self, p, dp, t):
         """|p| at a turning time t: omega0^2 p^2 + 2 alpha p p' + p'^2 falls as exp(-2 alpha t),

@@ -67,6 +67,8 @@ def family_report(answer: dict, family: Family, rig: Rig) -> Report:
     table = Table("Surrogate coefficients [N, mm/min, µm]", ("", "fitted", "published"), rows)
     pictures = [
         Picture("figure_II_5", "F_p over speed; dashed: published (3).", families(family, "force")),
-        Picture("figure_II_6", "d over speed; dashed: published (5).", families(family, "distance")),
+        Picture(
+            "figure_II_6", "d over speed; dashed: published (5).", families(family, "distance")
+        ),
     ]
     return Report("Curve families", summary, [Section("Fits", (), [table], pictures)])

@@ -43,7 +43,11 @@ def paper_report(paper: Paper) -> Report:
                     "the friction. These four are left out of the calibration.",
                 ),
                 [_misfit_table(paper)],
-                [Picture("residuals", "Measured minus model over speed.", figures.residuals(paper))],
+                [
+                    Picture(
+                        "residuals", "Measured minus model over speed.", figures.residuals(paper)
+                    )
+                ],
             ),
             Section(
                 "Calibration",
@@ -130,10 +134,14 @@ def _weighted_table(paper: Paper) -> Table:
             number(r["mu_s_surrogate"], 3),
             with_error(r["mu_s_model"], r["mu_s_model_standard_error"]),
             with_error(r["mu_s_optimal"], r["mu_s_optimal_standard_error"]),
+            number(r["disagreement_in_standard_deviations"], 2),
         ]
         for r in paper.weighted()
     ]
-    columns = ("", "v [mm/min]", "gauge", "printed", "(7), published", "(7), model", "optimal")
+    columns = (
+        "", "v [mm/min]", "gauge", "printed", "(7), published", "(7), model", "optimal",
+        "force − distance [σ]",
+    )  # fmt: skip
     return Table("Table V, at every speed", columns, rows)
 
 
@@ -159,7 +167,9 @@ def _calibration_table(paper: Paper) -> Table:
         for parameter in fit.free:
             error = fit.standard_error(parameter)
             shown = number(fit.value(parameter), 4)
-            values.append(f"{shown} ± {number(error, 2)}" if error is not None else f"{shown} (bound)")
+            values.append(
+                f"{shown} ± {number(error, 2)}" if error is not None else f"{shown} (bound)"
+            )
         return [
             name,
             *values,
@@ -194,7 +204,9 @@ def _paper_figures(paper: Paper) -> list[Picture]:
         push[condition] = simulate(rig, speed)
     where = f"18.9 kg, {to_mm_min(speed):.0f} mm/min, calibrated"
     return [
-        Picture("figure_II_3", f"Figure II.3: position ({where}).", figures.response(push, "position")),
+        Picture(
+            "figure_II_3", f"Figure II.3: position ({where}).", figures.response(push, "position")
+        ),
         Picture("figure_II_4", f"Figure II.4: force ({where}).", figures.response(push, "force")),
         Picture(
             "figure_II_5",

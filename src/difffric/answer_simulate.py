@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from difffric import parameters
+from difffric.push import REASONS, REGIMES
 from difffric.report import NO_STROKE, Picture, Report, Section, Table, number
 from difffric.rig import Rig
 from difffric.sensitivity import regime_margin, sensitivity
-from difffric.push import REASONS, REGIMES
 from difffric.units import from_mm_min, to_um
 
 
@@ -67,12 +67,11 @@ def simulate_report(answer: dict, velocity_mm_min: float, rig: Rig, pictures) ->
         summary.append(answer["stroke"])
     derivatives = answer["derivatives"]
     values = {**parameters.values(rig), "velocity_m_per_s": from_mm_min(velocity_mm_min)}
+    dd = derivatives["sliding_distance_m"]
     rows = [
-        [name, number(float(values[name]), 6), number(F), number(derivatives["sliding_distance_m"][name])]
-        for name, F in derivatives["peak_force_N"].items()
-    ]  # fmt: skip
-    table = Table(
-        "Exact derivatives [SI]", ("parameter", "value", "dF_p [N/…]", "dd [m/…]"), rows
-    )
+        [name, number(float(values[name]), 6), number(dF), number(dd[name])]
+        for name, dF in derivatives["peak_force_N"].items()
+    ]
+    table = Table("Exact derivatives [SI]", ("parameter", "value", "dF_p [N/…]", "dd [m/…]"), rows)
     title = f"One push at {velocity_mm_min:g} mm/min"
     return Report(title, summary, [Section("Derivatives", (), [table], pictures)])

@@ -23,9 +23,15 @@ FREE = ("k_N_per_m", "b_N_s_per_m", "k_v_N_s_per_m")
 
 _FACTORS = (1 / 3, 1.0, 3.0)
 _STEPS, _ROUNDS = 100, 20
+_ARRIVED = 1e-6
+"""A fit has arrived where less than this is left to gain in chi-square."""
+
 _MAY_VANISH = ("b_N_s_per_m", "k_v_N_s_per_m")
 _NOTHING = 1e-3
 """A parameter whose e-fold change moves no residual by more than this many spreads is gone."""
+_UNDETERMINED = 1e12
+"""Variance of the logarithm along what is not determined at all."""
+
 _UNKNOWN = 1.0
 """A standard error of the logarithm above this says that the data do not determine the value."""
 
@@ -142,7 +148,7 @@ def _residuals(rigs, velocity, measured, spreads, free, active, log_values, inte
 
 @eqx.filter_jit
 def _descend(rigs, velocity, measured, spreads, free, active, starts, integrator):
-    """Levenberg-Marquardt from every start at once: (ends, arrived). Which parameters are active
+    """Levenberg-Marquardt from every start at once: where each ends. Which parameters are active
     is a run-time choice: one program serves all."""
 
     def residuals(log_values, _):
@@ -152,12 +158,12 @@ def _descend(rigs, velocity, measured, spreads, free, active, starts, integrator
     def one(start):
         solution = optx.least_squares(
             residuals,
-            optx.LevenbergMarquardt(rtol=1e-10, atol=1e-10),
+            optx.LevenbergMarquardt(rtol=1e-9, atol=1e-9),
             start,
             max_steps=_STEPS,
             throw=False,
         )
-        return solution.value, solution.result == optx.RESULTS.successful
+        return solution.value
 
     return jax.vmap(one)(starts)
 
@@ -187,8 +193,9 @@ def fit(
 
     Least squares in log-parameters by optimistix's Levenberg-Marquardt on exact forward-mode
     Jacobians, from the rig's values and (`several_starts`) factors of 3 about k and b. Where no
-    standard errors are given, the spreads of F_p and of d are estimated with the rest (restricted maximum
-    likelihood: each squared sum over its own degrees of freedom, repeated until it stands).
+    standard errors are given, the spreads of F_p and of d are estimated with the rest
+    (restricted maximum likelihood: each squared sum over its own degrees of freedom, repeated
+    until it stands).
 
     Raises `InputError` without a gauge or with fewer measurements than free parameters, and
     `NumericalError` where no start gives a finite misfit.
@@ -208,8 +215,8 @@ def fit(
     centre = np.log([max(float(values[name]), 1e-3) for name in free])  # type: ignore[arg-type]
     starts = _starts(free, centre) if several_starts else jnp.asarray(centre)[None]
 
-    spread = np.array([np.nanstd(row) if p.any() else 1.0 for row, p in zip(measured, present)])
-    spread = np.maximum(0.05 * spread, 1e-12)
+    spread = [np.std(row[p]) if p.any() else 1.0 for row, p in zip(measured, present, strict=True)]
+    spread = np.maximum(0.05 * np.array(spread), 1e-12)
     active, settled = np.ones(len(free), bool), False
     for attempt in range(_ROUNDS):
         # All starts at once, then the best one only (in the same program) while the spreads
@@ -218,7 +225,7 @@ def fit(
         starting = starts if every else jnp.broadcast_to(best_end, starts.shape)
         spreads = np.where(np.isnan(given), spread[:, None], given)
         problem = (rigs, velocity, measured, spreads, free, active)
-        ends, ok = map(np.asarray, _descend(*problem, starting, integrator))
+        ends = np.asarray(_descend(*problem, starting, integrator))
         r, jacobian, F, d = map(np.asarray, _linearise(*problem, ends, integrator))
         chi2 = np.sum(r**2, axis=1)
         if not np.isfinite(chi2).any():
@@ -233,23 +240,29 @@ def fit(
         settled = np.allclose(new, spread, rtol=1e-5) and not gone.any()
         spread = new
 
-    values = {n: float(np.exp(x)) * bool(on) for n, x, on in zip(free, best_end, active)}
+    fitted = np.where(active, np.exp(np.asarray(best_end)), 0.0)
     reached = int(np.sum(np.abs(chi2 - chi2[best]) < 1e-6 * max(chi2[best], 1.0)))
     covariance = np.zeros((len(free), len(free)))
     covariance[np.ix_(active, active)] = _inverse(jacobian[:, active].T @ jacobian[:, active])
     return Fit(
-        rig=parameters.with_values(rig, values),
+        rig=parameters.with_values(rig, dict(zip(free, fitted.tolist(), strict=True))),
         free=free,
         vanished=tuple(name for name, on in zip(free, active, strict=True) if not on),
         covariance=covariance,
         spread_force=float(spread[0]),
         spread_distance=float(spread[1]),
         reduced_chi2=float(chi2[best] / (present.sum() - active.sum())),
-        converged=bool(ok[best]) and settled,
+        converged=_still_to_gain(r, jacobian) < _ARRIVED and settled,
         starts_at_optimum=(reached, len(chi2)),
         peak_force=F[best],
         sliding_distance=d[best],
     )
+
+
+def _still_to_gain(r, jacobian):
+    """The drop of chi-square that one more Gauss-Newton step predicts."""
+    gradient = jacobian.T @ r
+    return float(gradient @ _inverse(jacobian.T @ jacobian) @ gradient)
 
 
 def _gone(free, jacobian):
@@ -283,8 +296,8 @@ def _spreads(r, jacobian, present, spreads, spread, given):
 
 
 def _inverse(information):
-    """Inverse information; infinite variance along what is not determined at all."""
+    """Inverse information, with a huge variance along what is not determined at all."""
     values, vectors = np.linalg.eigh(information)
     known = values > 1e-12 * values.max()
-    inverse = np.where(known, 1.0 / np.where(known, values, 1.0), 1e12)
+    inverse = np.where(known, 1.0 / np.where(known, values, 1.0), _UNDETERMINED)
     return (vectors * inverse) @ vectors.T

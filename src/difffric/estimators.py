@@ -10,17 +10,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
 from difffric import parameters
-from difffric.families import family
 from difffric.calibration import Fit, rigs_of
+from difffric.families import family
 from difffric.inversion import BRACKET, Inversion, invert
 from difffric.observables import observe
 from difffric.parameters import pick
+from difffric.push import REGIMES
 from difffric.pushes import Pushes
 from difffric.rig import Rig
-from difffric.push import REGIMES
 from difffric.surrogate import weighted
 
 
@@ -53,6 +52,8 @@ class PushFriction:
     """equation (7)'s, force and distance"""
     alternatives: tuple[float, ...]
     """all mu_s in the bracket that give the measured distance, where there are several"""
+    disagreement: float | None
+    """mu_force minus mu_dist in standard deviations of that difference"""
     reason: str | None
 
     def as_dict(self) -> dict:
@@ -67,6 +68,7 @@ class PushFriction:
             "mu_s_optimal": self.mu_s_optimal.as_dict(),
             "weights": self.weights,
             "alternatives": list(self.alternatives),
+            "disagreement_in_standard_deviations": self.disagreement,
             "reason": self.reason,
         }
 
@@ -112,9 +114,7 @@ def identify(
     rigs = rigs_of(rig, pushes)
     options = {"bracket": bracket, "integrator": integrator}
     force = invert(rigs, pushes.velocity, pushes.peak_force, "peak_force", **options)
-    distance = invert(
-        rigs, pushes.velocity, pushes.sliding_distance, "sliding_distance", **options
-    )
+    distance = invert(rigs, pushes.velocity, pushes.sliding_distance, "sliding_distance", **options)
     distance = _supported_by_force(rigs, pushes, distance, integrator)
     free = calibration.free if calibration else ()
     gradients, regimes = _around(rigs, pushes, force, distance, free, integrator)
@@ -155,7 +155,7 @@ def _combine(pushes, i, force, distance, se, gradient, calibration, range_ratio,
 
     none, reasons = Estimate(None), [x.reason for x in pair if x.reason]
     single = [estimate(np.eye(2)[j]) if exists[j] else none for j in range(2)]
-    by_7, weights, best = none, None, none
+    by_7, weights, best, disagreement = none, None, none, None
     if exists.all():
         _, w_F, w_d = weighted(*mu, *slope, range_ratio)
         weights = {"force": float(w_F), "distance": float(w_d)}
@@ -163,6 +163,8 @@ def _combine(pushes, i, force, distance, se, gradient, calibration, range_ratio,
         if np.isfinite(covariance).all():
             w = np.linalg.solve(covariance, np.ones(2))
             best = estimate(w / w.sum())
+            apart = covariance[0, 0] + covariance[1, 1] - 2 * covariance[0, 1]
+            disagreement = float((mu[0] - mu[1]) / np.sqrt(apart))
         else:
             reasons.append("no optimum: the noise of F_p or of d is not known")
     elif exists.any():
@@ -177,6 +179,7 @@ def _combine(pushes, i, force, distance, se, gradient, calibration, range_ratio,
         mu_s_optimal=best,
         weights=weights,
         alternatives=distance.alternatives,
+        disagreement=disagreement,
         reason="; ".join(reasons) or None,
     )
 
@@ -203,9 +206,7 @@ def _at(rigs, velocity, mu_s, free, integrator):
 def _supported_by_force(rigs, pushes, distance, integrator) -> list[Inversion]:
     """Among several mu_s for one distance, the one that the measured force supports."""
     open_ = [
-        i
-        for i, x in enumerate(distance)
-        if x.alternatives and not np.isnan(pushes.peak_force[i])
+        i for i, x in enumerate(distance) if x.alternatives and not np.isnan(pushes.peak_force[i])
     ]
     chosen = list(distance)
     for i in open_:
@@ -228,9 +229,7 @@ def _around(rigs, pushes, force, distance, free, integrator):
     points = np.stack([*mu, middle], axis=1)
     points = np.where(np.isfinite(points) & (points > 0), points, 0.1).ravel()
     which = np.repeat(np.arange(n), 3)
-    _, gradient, regime = _at(
-        pick(rigs, which), pushes.velocity[which], points, free, integrator
-    )
+    _, gradient, regime = _at(pick(rigs, which), pushes.velocity[which], points, free, integrator)
     gradient = np.asarray(gradient).reshape(n, 3, 2, len(free))
     regime = np.asarray(regime).reshape(n, 3)[:, 2]
     names = [REGIMES[int(r)] if k else None for r, k in zip(regime, known, strict=True)]

@@ -67,5 +67,7 @@ def family(rig: Rig, velocity=None, mu_s=None, integrator=None) -> Family:
     experiments, 500-5000 mm/min and mu_s 0.05-0.30."""
     velocity = from_mm_min(SPEEDS_MM_MIN) if velocity is None else np.asarray(velocity, float)
     mu_s = MU_S if mu_s is None else np.asarray(mu_s, float)
-    F, d, regime = _grid(parameters.as_arrays(rig), jnp.asarray(velocity), jnp.asarray(mu_s), integrator)
+    F, d, regime = _grid(
+        parameters.as_arrays(rig), jnp.asarray(velocity), jnp.asarray(mu_s), integrator
+    )
     return Family(velocity, mu_s, np.asarray(F), np.asarray(d), np.asarray(regime))

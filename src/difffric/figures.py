@@ -41,22 +41,25 @@ def response(trajectories: Mapping[str, Trajectory], what: str) -> Figure:
     """Position (Figure II.3) or contact force (Figure II.4) over time; `what` says which."""
     with matplotlib.rc_context(_STYLE):
         figure, ax = _figure()
-        for label, trajectory in trajectories.items():
+        for style, (label, trajectory) in zip(("-", "--"), trajectories.items(), strict=False):
             end = float(trajectory.stop_time)
-            t = np.linspace(-0.03 * end, 1.08 * end, 2000)
+            t = np.linspace(0, end, 4000)
+            if what == "force":  # up to a little after the last contact
+                touching = t[np.asarray(trajectory.force(t)) > 0]
+                end = 1.4 * (touching[-1] if len(touching) else end)
+            t = np.linspace(-0.05 * end, 1.05 * end, 4000)
             force, position, _ = (np.asarray(a) for a in trajectory.evaluate(t))
-            y = to_mm(position) if what == "position" else force
-            ax.plot(1e3 * t, y, color=COLOURS.get(label, "#444"), label=label)
+            colour = COLOURS.get(label, "#1f6f8b")
+            name = f"{label}, " if label else ""
             if what == "force":
-                peak = float(trajectory.peak_force)
-                ax.axhline(peak, color=COLOURS.get(label, "#444"), lw=0.6, ls=":")
-                ax.annotate(
-                    f"$F_p$ = {peak:.1f} N", (1e3 * end, peak), ha="right", va="bottom", fontsize=9
-                )
+                ax.plot(1e3 * t, force, style, color=colour,
+                        label=f"{name}$F_p$ = {float(trajectory.peak_force):.1f} N")  # fmt: skip
+            else:
+                ax.plot(1e3 * t, to_mm(position), style, color=colour, label=label)
         ax.set_xlabel("time [ms]")
         ax.set_ylabel("position of the part [mm]" if what == "position" else "contact force [N]")
-        if len(trajectories) > 1:
-            ax.legend(loc="center right" if what == "force" else "lower right")
+        if what == "force" or len(trajectories) > 1:
+            ax.legend(loc="upper right" if what == "force" else "lower right")
     return figure
 
 
@@ -80,7 +83,9 @@ def families(family: Family, what: str, measured: Paper | None = None) -> Figure
             ax.plot(v, printed, color=colour, ls="--", lw=0.8)
         if measured is not None:
             _measured(ax, measured, force)
-        ax.plot([], [], color="#666", ls="--", lw=0.8, label="paper's " + ("(3)" if force else "(5)"))
+        ax.plot(
+            [], [], color="#666", ls="--", lw=0.8, label="paper's " + ("(3)" if force else "(5)")
+        )
         ax.set_xlabel("pusher speed v [mm/min]")
         ax.set_ylabel("peak push force $F_p$ [N]" if force else "sliding distance d [mm]")
         ax.legend(fontsize=8)

@@ -30,6 +30,9 @@ BRACKET = (1e-3, 2.0)
 FLAT = 1e-12
 """A relative derivative below this determines nothing."""
 
+_HIT = 1e-14
+"""A relative excess below this is none: where the model is flat there is no better."""
+
 _GRID, _CHILDREN, _LEVELS = 96, 12, 6
 _CHUNK = 256
 
@@ -70,7 +73,9 @@ class BracketedNewton(optx.AbstractRootFinder):
         inside = ~flat & (new >= lower) & (new <= upper)
         # Newton's error is quadratic in its step: after one this small, nothing is left to do.
         arrived = ~flat & ((inside & (step < 1e-9)) | (step <= 4e-16 * jnp.abs(y)))
-        new = jnp.where(inside | arrived, new, 0.5 * (lower + upper))
+        hit = jnp.abs(value) <= _HIT
+        new = jnp.where(hit, y, jnp.where(inside | arrived, new, 0.5 * (lower + upper)))
+        arrived = arrived | hit
         last = jnp.where(arrived, 0.0, jnp.abs(new - y))
         return new, _Search(lower, upper, last, slope, arrived), aux
 
@@ -191,7 +196,7 @@ _NAMES = {"peak_force": "peak force", "sliding_distance": "sliding distance"}
 
 def _answer(roots, target, quantity, bracket, ends) -> Inversion:
     """One push's roots, or what its measured value breaks."""
-    determined = sorted(r for r in roots if abs(r[1] * r[0]) > FLAT * target)
+    determined = _distinct(r for r in roots if abs(r[1] * r[0]) > FLAT * target)
     if determined:
         value, slope = determined[0]
         if len(determined) == 1:
@@ -215,6 +220,15 @@ def _answer(roots, target, quantity, bracket, ends) -> Inversion:
         bound = f"the least the model gives {where}: {show(least)}"
         return Inversion(None, reason=f"{name} = {show(target)} is below {bound}")
     return Inversion(None, reason=f"{name} = {show(target)} falls in a jump of the model {where}")
+
+
+def _distinct(roots):
+    """Roots in rising order, each once."""
+    out: list[tuple[float, float]] = []
+    for root in sorted(roots):
+        if not out or root[0] > out[-1][0] * (1 + 1e-9):
+            out.append(root)
+    return out
 
 
 def _in_chunks(function, arrays, n):
@@ -262,9 +276,7 @@ def _model(rigs, velocity, log_mu_s, quantity, integrator):
     which = np.repeat(np.arange(rows), columns)
     mu_s = np.exp(log_mu_s.ravel())
     arrays = (*pick((rigs, velocity), which), mu_s)
-    values, slopes, kind = _in_chunks(
-        lambda *a: _model_batch(*a, integrator), arrays, mu_s.size
-    )
+    values, slopes, kind = _in_chunks(lambda *a: _model_batch(*a, integrator), arrays, mu_s.size)
     which = ("peak_force", "sliding_distance").index(quantity)
     value, slope, kind = (a.reshape(rows, columns) for a in (values[which], slopes[which], kind))
     return value, slope * np.exp(log_mu_s), kind
@@ -303,6 +315,9 @@ def _crossings(rigs, velocity, target, quantity, bracket, integrator):
         dips = exists & (a * b > 0) & (a * sa < 0) & (b * sb > 0)
         edge = (kind[:, :-1] != kind[:, 1:]) & (np.isfinite(a) | np.isfinite(b))
         divide = (edge | dips) if level < _LEVELS - 1 else np.zeros_like(edge)
+        for row, column in np.argwhere(np.abs(excess) <= _HIT):
+            point = points[row, column]
+            found.append((which[row], point, point, True))
         for row, column in np.argwhere(crosses & ~divide):
             interval = (points[row, column], points[row, column + 1])
             found.append((which[row], *interval, bool(a[row, column] < 0)))

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric import parameters
+from difffric.calibration import Fit, fit
 from difffric.estimators import PushFriction, identify
 from difffric.families import MU_S, SPEEDS_MM_MIN, Family, family
-from difffric.calibration import Fit, fit
 from difffric.pushes import Pushes
 from difffric.rig import Rig, spring_damper_rig
 from difffric.surrogate import PUBLISHED_DISTANCE, PUBLISHED_FORCE, weighted
@@ -142,6 +142,7 @@ class Paper:
                     "weights": answer.weights,
                     "mu_s_optimal": optimal.value,
                     "mu_s_optimal_standard_error": optimal.standard_error,
+                    "disagreement_in_standard_deviations": answer.disagreement,
                     "reason": answer.reason,
                 }
             )

@@ -21,7 +21,9 @@ from difffric.errors import InputError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-NO_STROKE = "No stroke is given: the pusher stops at the first loss of contact, and d depends on it."
+NO_STROKE = (
+    "No stroke is given: the pusher stops at the first loss of contact, and d depends on it."
+)
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,9 @@ def with_error(value, error, digits: int = 3) -> str:
     """value ± error; a dash where there is none."""
     if value is None:
         return "–"
-    return f"{value:.{digits}f} ± {error:.{digits}f}" if error is not None else f"{value:.{digits}f}"
+    return (
+        f"{value:.{digits}f} ± {error:.{digits}f}" if error is not None else f"{value:.{digits}f}"
+    )
 
 
 def plain(answer):

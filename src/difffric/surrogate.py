@@ -110,7 +110,5 @@ def _finite(*columns):
 PUBLISHED_FORCE = ForceSurrogate(C_v=0.0529, C_mu=146.2)
 """Equation (4) as printed."""
 
-PUBLISHED_DISTANCE = DistanceSurrogate(
-    mu_0=0.3415, C_1=0.00041, k1=1.8997, C_2=0.07379, k2=1.6428
-)
+PUBLISHED_DISTANCE = DistanceSurrogate(mu_0=0.3415, C_1=0.00041, k1=1.8997, C_2=0.07379, k2=1.6428)
 """Equation (6) as printed."""

@@ -126,10 +126,14 @@ def simulate(
     if stroke is not None:
         rig = parameters.with_stroke(rig, stroke)
     checked(rig)
-    if not isinstance(velocity, jax.core.Tracer) and not np.all((velocity > 0) & np.isfinite(velocity)):
+    if not isinstance(velocity, jax.core.Tracer) and not np.all(
+        (velocity > 0) & np.isfinite(velocity)
+    ):
         raise InputError(f"velocity: expected a number > 0, got {velocity}")
     push = Push.of(rig, velocity, integrator)
-    return _follow(push._replace(rig=parameters.as_arrays(rig), velocity=jnp.asarray(velocity, float)))
+    return _follow(
+        push._replace(rig=parameters.as_arrays(rig), velocity=jnp.asarray(velocity, float))
+    )
 
 
 @eqx.filter_jit
