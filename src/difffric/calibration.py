@@ -63,7 +63,7 @@ class Fit:
 
     def value(self, name: str) -> float:
         """A parameter's value [SI]."""
-        return float(parameters.values(self.rig)[name])  # type: ignore[arg-type]
+        return float(parameters.values(self.rig)[name])
 
     def standard_error(self, name: str) -> float | None:
         """A free parameter's standard error [SI]; None at its bound."""
@@ -212,7 +212,7 @@ def fit(
         raise InputError(f"fit: {present.sum()} measurements cannot determine {len(free)} values")
     velocity = jnp.asarray(pushes.velocity)
     values = parameters.values(rig)
-    centre = np.log([max(float(values[name]), 1e-3) for name in free])  # type: ignore[arg-type]
+    centre = np.log([max(float(values[name]), 1e-3) for name in free])
     starts = _starts(free, centre) if several_starts else jnp.asarray(centre)[None]
 
     spread = [np.std(row[p]) if p.any() else 1.0 for row, p in zip(measured, present, strict=True)]

@@ -44,8 +44,8 @@ class UnilateralSpringDamper(AbstractContact):
     acts on approach, the spring on compression, and the contact never pulls.
     """
 
-    k: Float[Array, ""]
-    b: Float[Array, ""]
+    k: Float[Array, ""] | float
+    b: Float[Array, ""] | float
     affine: ClassVar[bool] = True
 
     def approach(self, z, w):

@@ -157,7 +157,7 @@ def _combine(pushes, i, force, distance, se, gradient, calibration, range_ratio,
     single = [estimate(np.eye(2)[j]) if exists[j] else none for j in range(2)]
     by_7, weights, best, disagreement = none, None, none, None
     if exists.all():
-        _, w_F, w_d = weighted(*mu, *slope, range_ratio)
+        _, w_F, w_d = weighted(mu[0], mu[1], slope[0], slope[1], range_ratio)
         weights = {"force": float(w_F), "distance": float(w_d)}
         by_7 = estimate(np.array([w_F, w_d]))
         if np.isfinite(covariance).all():

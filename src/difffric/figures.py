@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -18,7 +19,7 @@ matplotlib.use("Agg")
 
 COLOURS = {"DRY": "#b4532a", "OILY": "#1f6f8b"}
 _MARKERS = {"DRY": "o", "OILY": "s"}
-_STYLE = {
+_STYLE: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
@@ -30,7 +31,7 @@ _STYLE = {
 }
 
 
-def _figure(columns=1, width=6.4, height=4.0, **options):
+def _figure(columns=1, width=6.4, height=4.0, **options) -> tuple[Figure, Any]:
     with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
         axes = figure.subplots(1, columns, **options)

@@ -35,9 +35,9 @@ class ViscousCoulomb(AbstractFriction):
     `mu_k = mu_k_over_mu_s * mu_s` follows mu_s; the paper takes 0.75 throughout.
     """
 
-    mu_s: Float[Array, ""]
-    mu_k_over_mu_s: Float[Array, ""] = 0.75  # type: ignore[assignment]
-    k_v: Float[Array, ""] = 0.0  # type: ignore[assignment]
+    mu_s: Float[Array, ""] | float
+    mu_k_over_mu_s: Float[Array, ""] | float = 0.75
+    k_v: Float[Array, ""] | float = 0.0
     affine: ClassVar[bool] = True
 
     @property

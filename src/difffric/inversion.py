@@ -166,13 +166,9 @@ def invert(
     roots: list[list[tuple[float, float]]] = [[] for _ in range(n)]
     if found:
         which, lower, upper, rising = (np.array(column) for column in zip(*found, strict=True))
-        solved = _solve_many(
-            *pick((rigs, velocity, safe), which),
-            (np.exp(lower), np.exp(upper)),
-            rising,
-            quantity,
-            integrator,
-        )
+        several, v, aim = pick((rigs, velocity, safe), which)
+        interval = (np.exp(lower), np.exp(upper))
+        solved = _solve_many(several, v, aim, interval, rising, quantity, integrator)
         for i, mu_s, slope, good in zip(
             which, solved.mu_s, solved.slope, solved.solved, strict=True
         ):
@@ -181,7 +177,8 @@ def invert(
     ends: dict[int, tuple[float, float]] = {}
     rootless = np.array([i for i in range(n) if measured[i] and not roots[i]], int)
     if len(rootless):
-        least_most = _ends(*pick((rigs, velocity), rootless), quantity, bracket, integrator)
+        some, v = pick((rigs, velocity), rootless)
+        least_most = _ends(some, v, quantity, bracket, integrator)
         ends = dict(zip(rootless.tolist(), zip(*least_most, strict=True), strict=True))
     return [
         _answer(roots[i], target[i], quantity, bracket, ends.get(i))
@@ -201,7 +198,8 @@ def _answer(roots, target, quantity, bracket, ends) -> Inversion:
         value, slope = determined[0]
         if len(determined) == 1:
             return Inversion(value, slope)
-        return Inversion(value, slope, *zip(*determined, strict=True))
+        mu_s, slopes = zip(*determined, strict=True)
+        return Inversion(value, slope, mu_s, slopes)
     where = f"for mu_s from {bracket[0]:g} to {bracket[1]:g}"
     if roots:
         return Inversion(None, reason="F_p does not depend on mu_s here: the peak is b v at touch")
@@ -276,16 +274,23 @@ def _model(rigs, velocity, log_mu_s, quantity, integrator):
     which = np.repeat(np.arange(rows), columns)
     mu_s = np.exp(log_mu_s.ravel())
     arrays = (*pick((rigs, velocity), which), mu_s)
-    values, slopes, kind = _in_chunks(lambda *a: _model_batch(*a, integrator), arrays, mu_s.size)
+
+    def batch(rigs, velocity, mu_s):
+        return _model_batch(rigs, velocity, mu_s, integrator)
+
+    values, slopes, kind = _in_chunks(batch, arrays, mu_s.size)
     which = ("peak_force", "sliding_distance").index(quantity)
     value, slope, kind = (a.reshape(rows, columns) for a in (values[which], slopes[which], kind))
     return value, slope * np.exp(log_mu_s), kind
 
 
+def _grid(bracket):
+    return np.linspace(np.log(bracket[0]), np.log(bracket[1]), _GRID)
+
+
 def _ends(rigs, velocity, quantity, bracket, integrator):
     """The least and the most the model gives over the bracket, for each push."""
-    grid = np.linspace(*np.log(bracket), _GRID)
-    grid = np.broadcast_to(grid, (len(velocity), _GRID))
+    grid = np.broadcast_to(_grid(bracket), (len(velocity), _GRID))
     value, _, _ = _model(rigs, velocity, grid, quantity, integrator)
     nowhere = np.isnan(value).all(axis=1)
     least = np.where(nowhere, np.nan, np.min(np.where(np.isnan(value), np.inf, value), axis=1))
@@ -301,7 +306,7 @@ def _crossings(rigs, velocity, target, quantity, bracket, integrator):
     """
     found = []
     which = np.arange(len(target))
-    points = np.broadcast_to(np.linspace(*np.log(bracket), _GRID), (len(target), _GRID))
+    points = np.broadcast_to(_grid(bracket), (len(target), _GRID))
     for level in range(_LEVELS):
         value, slope, kind = _model(
             pick(rigs, which), velocity[which], points, quantity, integrator

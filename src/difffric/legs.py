@@ -14,13 +14,13 @@ NONE, STOP, TURN, HALT, RELEASE, CATCH = range(6)
 class Leg(NamedTuple):
     """One leg: its duration [s], its event, the state at its end, and what it measured."""
 
-    dt: Array
-    event: Array
-    z: Array
-    u: Array
-    slid: Array
+    dt: Array | float
+    event: Array | int
+    z: Array | float
+    u: Array | float
+    slid: Array | float
     """distance covered without contact [m]"""
-    peak: Array
+    peak: Array | float
     """largest contact force of a closing [N]"""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,7 +13,7 @@ from difffric.errors import InputError
 from difffric.pusher import ConstantSpeed
 from difffric.rig import Rig
 
-RIG_PARAMETERS: dict[str, Callable[[Rig], object]] = {
+RIG_PARAMETERS: dict[str, Callable[[Any], Any]] = {
     "mu_s": lambda rig: rig.friction.mu_s,
     "mu_k_over_mu_s": lambda rig: rig.friction.mu_k_over_mu_s,
     "k_v_N_s_per_m": lambda rig: rig.friction.k_v,
@@ -35,12 +36,12 @@ def names(rig: Rig) -> tuple[str, ...]:
     return tuple(name for name, where in RIG_PARAMETERS.items() if has(where))
 
 
-def values(rig: Rig) -> dict[str, object]:
+def values(rig: Rig) -> dict[str, Any]:
     """Name -> value [SI]."""
     return {name: RIG_PARAMETERS[name](rig) for name in names(rig)}
 
 
-def with_values(rig: Rig, new: Mapping[str, object]) -> Rig:
+def with_values(rig: Rig, new: Mapping[str, Any]) -> Rig:
     """The rig with some parameters replaced.
 
     Raises `InputError` for a name that the rig does not have.
@@ -73,6 +74,6 @@ def spread(rig: Rig, n: int) -> Rig:
     return jax.tree.map(copies, rig)
 
 
-def pick(tree, index):
+def pick(tree: Any, index) -> Any:
     """Some entries of spread rigs (or of any tree of arrays), by an array of indices."""
     return jax.tree.map(lambda leaf: jnp.asarray(leaf)[index], tree)

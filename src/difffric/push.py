@@ -160,7 +160,7 @@ class Push(NamedTuple):
     def _advance(self, segment, dt, event, mode, z, u):
         """The next segment: the pusher has moved on, or has just stopped."""
         stops = event == STOP
-        stroke = 0.0 if self.once else self.rig.pusher.stroke
+        stroke = 0.0 if self.rig.pusher.stroke is None else self.rig.pusher.stroke
         v_p, left = segment.v_p, self._left(segment)
         t_stop = segment.t + jnp.where(jnp.isfinite(left), left, 0.0)
         t = jnp.where(stops, t_stop, segment.t + dt)

@@ -14,7 +14,7 @@ class ConstantSpeed(eqx.Module):
     An infinite stroke says the same in a batch that mixes both.
     """
 
-    stroke: Float[Array, ""] | None = None
+    stroke: Float[Array, ""] | float | None = None
 
     def stop_time(self, velocity):
         """Time [s] at which the stroke ends; infinite without one."""

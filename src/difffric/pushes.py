@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from difffric.errors import InputError
+
+_NOT_MEASURED: Any = None  # what may be left out; an instance holds NaN there
 
 _POSITIVE = ("velocity", "sliding_distance", "mass", "stroke", "peak_force")
 
@@ -22,20 +25,20 @@ class Pushes:
 
     velocity: NDArray
     """[m/s]"""
-    peak_force: NDArray | None = None
+    peak_force: NDArray = _NOT_MEASURED
     """F_p [N]"""
-    sliding_distance: NDArray | None = None
+    sliding_distance: NDArray = _NOT_MEASURED
     """d [m]"""
-    mu_s_gauge: NDArray | None = None
+    mu_s_gauge: NDArray = _NOT_MEASURED
     """mu_s known from elsewhere"""
-    mass: NDArray | None = None
+    mass: NDArray = _NOT_MEASURED
     """[kg], where it differs from the rig's"""
-    stroke: NDArray | None = None
+    stroke: NDArray = _NOT_MEASURED
     """[m], where it differs from the rig's"""
-    condition: Sequence[str] | None = None
-    peak_force_se: NDArray | None = None
+    condition: Sequence[str] = _NOT_MEASURED
+    peak_force_se: NDArray = _NOT_MEASURED
     """standard error of F_p [N]"""
-    sliding_distance_se: NDArray | None = None
+    sliding_distance_se: NDArray = _NOT_MEASURED
     """standard error of d [m]"""
 
     def __post_init__(self):

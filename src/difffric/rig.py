@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import equinox as eqx
 from jaxtyping import Array, Float
 
@@ -19,7 +21,7 @@ class Rig(eqx.Module):
     and batched like any array.
     """
 
-    mass: Float[Array, ""]
+    mass: Float[Array, ""] | float
     friction: AbstractFriction
     contact: AbstractContact
     pusher: ConstantSpeed = ConstantSpeed()
@@ -27,7 +29,7 @@ class Rig(eqx.Module):
     probe: Probe = Probe()
 
     @property
-    def F_N(self):
+    def F_N(self) -> Any:
         """Normal force m g [N]."""
         return self.mass * GRAVITY
 

@@ -6,7 +6,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jax.core import Tracer
+from jaxtyping import Array, ArrayLike, Float
 
 from difffric import parameters
 from difffric.errors import InputError
@@ -57,15 +58,15 @@ class Trajectory(eqx.Module):
         t = self.segments.t
         return jnp.max(jnp.where(jnp.isfinite(t), t, 0.0))
 
-    def force(self, t: Float[Array, " n"]) -> Float[Array, " n"]:
+    def force(self, t: Float[ArrayLike, " n"]) -> Float[Array, " n"]:
         """Contact force [N] at the times t [s]; zero before the push."""
         return self.evaluate(t)[0]
 
-    def position(self, t: Float[Array, " n"]) -> Float[Array, " n"]:
+    def position(self, t: Float[ArrayLike, " n"]) -> Float[Array, " n"]:
         """Position x of the part [m] at the times t [s], zero at its start."""
         return self.evaluate(t)[1]
 
-    def speed(self, t: Float[Array, " n"]) -> Float[Array, " n"]:
+    def speed(self, t: Float[ArrayLike, " n"]) -> Float[Array, " n"]:
         """Speed u = x' of the part [m/s] at the times t [s]."""
         return self.evaluate(t)[2]
 
@@ -126,9 +127,7 @@ def simulate(
     if stroke is not None:
         rig = parameters.with_stroke(rig, stroke)
     checked(rig)
-    if not isinstance(velocity, jax.core.Tracer) and not np.all(
-        (velocity > 0) & np.isfinite(velocity)
-    ):
+    if not isinstance(velocity, Tracer) and not np.all((velocity > 0) & np.isfinite(velocity)):
         raise InputError(f"velocity: expected a number > 0, got {velocity}")
     push = Push.of(rig, velocity, integrator)
     return _follow(
