@@ -1,5 +1,11 @@
-"""64 bits for every test, as the command line and the notebooks have it."""
+"""64 bits for every test, as the command line and the notebooks have it, and one store of compiled
+programs for all of them, so that a second run spends its time on testing."""
 
-import jax
+import os
+from pathlib import Path
 
-jax.config.update("jax_enable_x64", True)
+CACHE = Path(__file__).parents[1] / ".pytest_cache" / "jax"
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(CACHE))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+os.environ["JAX_ENABLE_X64"] = "1"
+os.environ.setdefault("JAX_PLATFORMS", "cpu")

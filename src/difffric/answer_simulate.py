@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from difffric import parameters
@@ -16,7 +14,7 @@ from difffric.units import from_mm_min, to_um
 
 def simulate_answer(rig: Rig, velocity: float) -> dict:
     """One push, as `difffric simulate` writes it."""
-    found = eqx.filter_jit(sensitivity)(parameters.as_arrays(rig), jnp.asarray(velocity, float))
+    found = sensitivity(rig, velocity)
     seen = found.observables
     margin = regime_margin(rig, velocity)
     reason = REASONS[int(seen.reason)]

@@ -193,16 +193,15 @@ _NAMES = {"peak_force": "peak force", "sliding_distance": "sliding distance"}
 
 def _answer(roots, target, quantity, bracket, ends) -> Inversion:
     """One push's roots, or what its measured value breaks."""
-    determined = _distinct(r for r in roots if abs(r[1] * r[0]) > FLAT * target)
-    if determined:
-        value, slope = determined[0]
-        if len(determined) == 1:
-            return Inversion(value, slope)
-        mu_s, slopes = zip(*determined, strict=True)
-        return Inversion(value, slope, mu_s, slopes)
-    where = f"for mu_s from {bracket[0]:g} to {bracket[1]:g}"
+    if any(abs(slope * mu_s) <= FLAT * target for mu_s, slope in roots):
+        what = "F_p" if quantity == "peak_force" else "d"
+        set_by = ": the peak is b v at touch, or set by the stroke" if what == "F_p" else ""
+        return Inversion(None, reason=f"{what} does not depend on mu_s here{set_by}")
     if roots:
-        return Inversion(None, reason="F_p does not depend on mu_s here: the peak is b v at touch")
+        mu_s, slopes = zip(*_distinct(roots), strict=True)
+        several = (mu_s, slopes) if len(mu_s) > 1 else ((), ())
+        return Inversion(mu_s[0], slopes[0], *several)
+    where = f"for mu_s from {bracket[0]:g} to {bracket[1]:g}"
     least, most = ends
 
     def show(value):

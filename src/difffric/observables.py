@@ -6,9 +6,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
+from difffric import parameters
 from difffric import push as sim
 from difffric.rig import Rig
 
@@ -33,9 +35,15 @@ class Observables(NamedTuple):
 def observe(rig: Rig, velocity, integrator: sim.Integrator | None = None) -> Observables:
     """F_p [N] and d [m] of one push at `velocity` [m/s]; the stroke is the rig's pusher's.
 
-    Pure and traceable: jit, vmap and differentiate it (forward mode) as you like.
+    Pure, compiled once for all rigs of a kind: vmap and differentiate it (forward mode), and
+    jit what is built on it, as you like.
     """
     push = sim.Push.of(rig, velocity, integrator)
+    return _observed(parameters.as_arrays(push))
+
+
+@eqx.filter_jit
+def _observed(push: sim.Push) -> Observables:
     return observables(push, push.last_state())
 
 

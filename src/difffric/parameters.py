@@ -60,9 +60,10 @@ def with_stroke(rig: Rig, stroke) -> Rig:
     return eqx.tree_at(lambda r: r.pusher, rig, ConstantSpeed(stroke))
 
 
-def as_arrays(rig: Rig) -> Rig:
-    """The rig with every number an array, so that one compiled program serves all rigs."""
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), rig)
+def as_arrays(tree: Any) -> Any:
+    """A rig (or what holds one) with every number an array, so that one compiled program serves
+    all rigs."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), tree)
 
 
 def spread(rig: Rig, n: int) -> Rig:

@@ -31,8 +31,12 @@ def sensitivity(rig: Rig, velocity, integrator=None) -> Sensitivity:
 
     NaN stands where d does not exist.
     """
+    return _sensitivity(parameters.as_arrays(rig), jnp.asarray(velocity, float), integrator)
+
+
+@eqx.filter_jit
+def _sensitivity(rig: Rig, velocity, integrator) -> Sensitivity:
     point = {**parameters.values(rig), VELOCITY: velocity}
-    point = {name: jnp.asarray(value, float) for name, value in point.items()}
 
     def measured(point):
         rest = {name: value for name, value in point.items() if name != VELOCITY}
