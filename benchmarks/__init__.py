@@ -1,0 +1,1 @@
+"""Benchmarks: each task beside what one would use for it without this library."""
