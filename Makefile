@@ -32,6 +32,7 @@ study: $(READY)  ## the tests marked slow, which take minutes
 bench: $(READY)  ## the benchmarks, into .benchmarks/latest.json
 	@mkdir -p .benchmarks
 	$(BIN)/python -m pytest benchmarks --benchmark-only --benchmark-json=.benchmarks/latest.json
+	$(BIN)/python -m benchmarks.table .benchmarks/latest.json
 
 lint: $(READY)  ## style, types and the direction of imports: all four checks run, any may fail it
 	@failed=; \

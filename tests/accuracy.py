@@ -1,4 +1,4 @@
-"""Worst errors against the 600 reference pushes: `python -m tests.accuracy` prints the table that
+"""Worst errors against the reference pushes: `python -m tests.accuracy` prints the table that
 docs/performance.md holds."""
 
 from __future__ import annotations

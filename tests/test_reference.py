@@ -1,4 +1,4 @@
-"""F_p, d and their derivatives against 600 pushes solved to 40 digits by independent code.
+"""F_p, d and their derivatives against some 600 pushes solved to 40 digits by independent code.
 
 `tests/reference/cases.json` is made by `python -m tests.reference.make_cases` (mpmath), which
 shares nothing with the library.

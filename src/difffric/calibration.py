@@ -158,14 +158,14 @@ def _descend(rigs, velocity, measured, spreads, free, active, starts, integrator
     def one(start):
         solution = optx.least_squares(
             residuals,
-            optx.LevenbergMarquardt(rtol=1e-9, atol=1e-9),
+            optx.LevenbergMarquardt(rtol=1e-8, atol=1e-8),
             start,
             max_steps=_STEPS,
             throw=False,
         )
         return solution.value
 
-    return jax.vmap(one)(starts)
+    return jax.lax.map(one, starts)
 
 
 @eqx.filter_jit
@@ -177,7 +177,7 @@ def _linearise(rigs, velocity, measured, spreads, free, active, ends, integrator
         r, model = _residuals(*args)
         return r, (r, *model)
 
-    jacobian, (r, F, d) = jax.vmap(jax.jacfwd(residuals, has_aux=True))(ends)
+    jacobian, (r, F, d) = jax.lax.map(jax.jacfwd(residuals, has_aux=True), ends)
     return r, jacobian, F, d
 
 
@@ -217,6 +217,7 @@ def fit(
 
     spread = [np.std(row[p]) if p.any() else 1.0 for row, p in zip(measured, present, strict=True)]
     spread = np.maximum(0.05 * np.array(spread), 1e-12)
+    estimated = present & np.isnan(given)
     active, settled = np.ones(len(free), bool), False
     for attempt in range(_ROUNDS):
         # All starts at once, then the best one only (in the same program) while the spreads
@@ -234,7 +235,8 @@ def fit(
         best_end, r, jacobian = jnp.asarray(ends[best]), r[best], jacobian[best]
         gone = _gone(free, jacobian) & active
         active = active & ~gone
-        if settled:
+        if settled or not estimated.any():
+            settled = not gone.any()
             break
         new = _spreads(r, jacobian, present, spreads, spread, given)
         settled = np.allclose(new, spread, rtol=1e-5) and not gone.any()

@@ -83,13 +83,23 @@ class ClosedForm(eqx.Module):
             # With mu_k = mu_s the breakaway has no acceleration: its rounding is no fall.
             falling = dw > 1e-12 * osc.omega0_sq * z_e
             top = osc.turning_time(w, jnp.where(falling, dw, 1.0), 1.0)
-            halts = falling & (osc.extremum(w, dw, jnp.where(falling, top, 0.0)) > v_p)
+            # Masked by what holds in this mode, so that other lanes of a batch search for nothing.
+            halts = (
+                falling
+                & (w < v_p)
+                & (v_p > 0)
+                & (osc.extremum(w, dw, jnp.where(falling, top, 0.0)) > v_p)
+            )
             top = jnp.where(halts, top, 0.0)
             args = (osc.alpha, osc.omega0_sq, w, dw, v_p)
             halt = jnp.where(halts, falling_root(_undershoot, args, 0.0, top, 0.5 * top), jnp.inf)
         dt, event = first_event((left, STOP), (turn, TURN), (halt, HALT))
-        p, dp = osc.flow(xi, w, _finite(dt))
-        p = jnp.where(event == TURN, osc.extremum(xi, w, dt), p)
+        at_turn = osc.extremum(xi, w, _finite(dt))
+        if may_halt:
+            p, dp = osc.flow(xi, w, _finite(dt))
+            p, dp = jnp.where(event == TURN, at_turn, p), jnp.where(event == TURN, 0.0, dp)
+        else:
+            p, dp = at_turn, jnp.zeros_like(at_turn)  # without a stroke nothing else ends it
         z_1 = z_e + p
         u_1 = jnp.where(event == TURN, v_p, jnp.where(event == HALT, 0.0, v_p - dp))
         peak = self._peak(rig, osc, z_e, xi, w, dw, turn, dt, (p, dp))
@@ -116,7 +126,7 @@ class ClosedForm(eqx.Module):
         finite = jnp.isfinite(turn)
         t_turn = jnp.where(finite, turn, 0.0)
         depth = osc.extremum(xi, w, t_turn)
-        leaves = finite & (depth >= z_e)
+        leaves = finite & (depth >= z_e) & (z >= 0) & (w <= 0)
         # Seen back from the turn, exp(c a)(cos a - c sin a) = z_e / depth with c = alpha/omega:
         # the phase a to first order in c.
         cosine = jnp.where(leaves, z_e / jnp.where(leaves, depth, 1.0), 0.0)
@@ -145,7 +155,7 @@ class ClosedForm(eqx.Module):
             return Leg(t_rest, jnp.full_like(left, HALT, int), z - s_rest, 0.0, s_rest, 0.0)
         horizon = jnp.minimum(t_rest, left)
         args = (*slide, u, -z, v_p)
-        caught = (v_p > 0) & (_gap(horizon, args)[0] <= 0)
+        caught = (v_p > 0) & (z <= 0) & (_gap(horizon, args)[0] <= 0)
         # The gap is concave: it grows until u = v_p, and falls ever faster from there.
         level = slide.drag + slide.rate * v_p
         since = jnp.where(caught & (u > v_p), Slide(level, slide.rate).rest(u - v_p)[0], 0.0)

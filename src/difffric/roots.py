@@ -35,12 +35,11 @@ def falling_root(f, args, lo, hi, guess):
         lo = jnp.where(value > 0, s.t, s.lo)
         hi = jnp.where(value > 0, s.hi, s.t)
         t = s.t - value / jnp.where(slope == 0, -eps, slope)
-        # A step below rounding may leave the bracket by an ulp: it is an arrival, not an escape.
-        arrived = jnp.abs(t - s.t) <= 8 * eps * jnp.abs(s.t)
+        # Newton's error is quadratic in its step: after one this small, nothing is left to do
+        # (and if it leaves the bracket by a rounding, that is an arrival, not an escape).
+        arrived = jnp.abs(t - s.t) <= 1e-10 * jnp.abs(s.t)
         inside = (t >= lo) & (t <= hi)
-        # Newton's error is quadratic in its step: after one this small, nothing is left to do.
-        arrived = arrived | (inside & (jnp.abs(t - s.t) <= 1e-10 * jnp.abs(s.t)))
-        t = jnp.where(arrived | inside, t, 0.5 * (lo + hi))
+        t = jnp.where(arrived, jnp.clip(t, lo, hi), jnp.where(inside, t, 0.5 * (lo + hi)))
         return _Search(t, lo, hi, jnp.where(arrived, 0.0, t - s.t), s.count + 1)
 
     lo, hi, guess = jnp.broadcast_arrays(lo, hi, jnp.clip(guess, lo, hi))
