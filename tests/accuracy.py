@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from difffric.push import REGIMES
-from difffric.sensitivity import sensitivity
+from difffric.derivatives import sensitivity
 from tests.test_reference import CASES, QUANTITIES, natural_scale, rigs
 
 

@@ -25,8 +25,8 @@ _HOME = {
     "invert": "inversion",
     "load_setup": "setup_file",
     "observe": "observables",
-    "regime_margin": "sensitivity",
-    "sensitivity": "sensitivity",
+    "regime_margin": "derivatives",
+    "sensitivity": "derivatives",
     "simulate": "trajectory",
     "spring_damper_rig": "rig",
 }
@@ -52,8 +52,8 @@ if TYPE_CHECKING:
     from difffric.pushes import Pushes as Pushes
     from difffric.rig import Rig as Rig
     from difffric.rig import spring_damper_rig as spring_damper_rig
-    from difffric.sensitivity import regime_margin as regime_margin
-    from difffric.sensitivity import sensitivity as sensitivity
+    from difffric.derivatives import regime_margin as regime_margin
+    from difffric.derivatives import sensitivity as sensitivity
     from difffric.setup_file import load_setup as load_setup
     from difffric.trajectory import Trajectory as Trajectory
     from difffric.trajectory import simulate as simulate

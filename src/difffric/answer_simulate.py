@@ -8,7 +8,7 @@ from difffric import parameters
 from difffric.push import REASONS, REGIMES
 from difffric.report import NO_STROKE, Picture, Report, Section, Table, number
 from difffric.rig import Rig
-from difffric.sensitivity import regime_margin, sensitivity
+from difffric.derivatives import regime_margin, sensitivity
 from difffric.units import from_mm_min, to_um
 
 
@@ -45,7 +45,7 @@ def simulate_pictures(rig: Rig, velocity: float) -> list[Picture]:
     push = {"": simulate(rig, velocity)}
     return [
         Picture("position", "Position of the part over time.", response(push, "position")),
-        Picture("force", "Contact force over time; dotted: F_p.", response(push, "force")),
+        Picture("force", "Contact force over time.", response(push, "force")),
     ]
 
 

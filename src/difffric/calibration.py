@@ -217,12 +217,10 @@ def fit(
 
     spread = [np.std(row[p]) if p.any() else 1.0 for row, p in zip(measured, present, strict=True)]
     spread = np.maximum(0.05 * np.array(spread), 1e-12)
-    estimated = present & np.isnan(given)
-    active, settled = np.ones(len(free), bool), False
-    for attempt in range(_ROUNDS):
+    active, every, settled = np.ones(len(free), bool), True, False
+    for _ in range(_ROUNDS):
         # All starts at once, then the best one only (in the same program) while the spreads
         # settle, and all of them again to see how many arrive.
-        every = attempt == 0 or settled or attempt == _ROUNDS - 1
         starting = starts if every else jnp.broadcast_to(best_end, starts.shape)
         spreads = np.where(np.isnan(given), spread[:, None], given)
         problem = (rigs, velocity, measured, spreads, free, active)
@@ -234,13 +232,11 @@ def fit(
         best = int(np.nanargmin(chi2))
         best_end, r, jacobian = jnp.asarray(ends[best]), r[best], jacobian[best]
         gone = _gone(free, jacobian) & active
-        active = active & ~gone
-        if settled or not estimated.any():
-            settled = not gone.any()
-            break
         new = _spreads(r, jacobian, present, spreads, spread, given)
         settled = np.allclose(new, spread, rtol=1e-5) and not gone.any()
-        spread = new
+        if settled and every:
+            break
+        active, every, spread = active & ~gone, settled, new
 
     fitted = np.where(active, np.exp(np.asarray(best_end)), 0.0)
     reached = int(np.sum(np.abs(chi2 - chi2[best]) < 1e-6 * max(chi2[best], 1.0)))

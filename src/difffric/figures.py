@@ -15,8 +15,6 @@ from difffric.surrogate import PUBLISHED_DISTANCE, PUBLISHED_FORCE
 from difffric.trajectory import Trajectory
 from difffric.units import to_mm, to_mm_min, to_um
 
-matplotlib.use("Agg")
-
 COLOURS = {"DRY": "#b4532a", "OILY": "#1f6f8b"}
 _MARKERS = {"DRY": "o", "OILY": "s"}
 _STYLE: Any = {

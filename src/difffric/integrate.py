@@ -110,7 +110,7 @@ class _Motion(eqx.Module):
         a_0, a_1 = self(y_0)[1], self(y_1)[1]
         turns = (a_0 < 0) & (a_1 > 0)
         bottom = jnp.where(turns, -a_0 / jnp.where(turns, a_1 - a_0, 1.0), 1.0) * h
-        may = u_0 + 0.4 * a_0 * bottom <= 0  # 0.5 by the parabola: rather look once too often
+        may = u_0 + 0.6 * a_0 * bottom <= 0  # 0.5 by the parabola: rather look once too often
         dips = turns & may & (u_1 > 0) & (bottom < 0.99 * h)
         return jnp.where(dips, bottom, h)
 

@@ -17,6 +17,7 @@ import numpy as np
 import optimistix as optx
 
 from difffric import parameters
+from difffric.errors import InputError
 from difffric.observables import observe
 from difffric.parameters import pick
 from difffric.rig import Rig
@@ -151,11 +152,20 @@ def invert(
 ) -> list[Inversion]:
     """mu_s for each of n pushes from the measured quantity [N or m].
 
-    `rigs` is a rig spread over the pushes (`parameters.spread`), so that mass and stroke may
-    differ; `velocity` [m/s] and `target` have length n. NaN in `target`: not measured.
+    `velocity` [m/s] and `target` have length n; every number of the rig is one value or n, so
+    that mass and stroke may differ. NaN in `target`: not measured.
+
+    Raises `InputError` where the lengths differ.
     """
-    velocity, target = (np.asarray(a, float) for a in (velocity, target))
+    velocity, target = np.broadcast_arrays(np.atleast_1d(velocity), np.atleast_1d(target))
+    velocity, target = velocity.astype(float), target.astype(float)
     n = len(target)
+    try:
+        rigs = parameters.spread(rigs, n)
+    except ValueError as error:
+        raise InputError(
+            f"invert: the rig's numbers must be one value or {n}, one a push"
+        ) from error
     measured = np.isfinite(target)
     safe = np.where(measured, target, 1.0)
     if rigs.pusher.stroke is None:

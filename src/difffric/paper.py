@@ -91,7 +91,10 @@ def rough_rig(stroke: float | None = None) -> Rig:
 
 
 def lossless_bound(velocity, mu_k):
-    """The most that a rebound can give: d <= (2 v)^2 / (2 mu_k g) [m], for any k, b and k_v."""
+    """The most that a rebound can give: d <= (2 v)^2 / (2 mu_k g) [m], for any k, b and k_v.
+
+    Holds for mu_k / mu_s >= 0.6: below, breakaway itself throws the part.
+    """
     return 4 * velocity**2 / (2 * mu_k * GRAVITY)
 
 
