@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from difffric.closed_form import ClosedForm as ClosedForm
     from difffric.contact import AbstractContact as AbstractContact
     from difffric.contact import UnilateralSpringDamper as UnilateralSpringDamper
+    from difffric.derivatives import regime_margin as regime_margin
+    from difffric.derivatives import sensitivity as sensitivity
     from difffric.errors import DifffricError as DifffricError
     from difffric.errors import InputError as InputError
     from difffric.errors import NumericalError as NumericalError
@@ -52,8 +54,6 @@ if TYPE_CHECKING:
     from difffric.pushes import Pushes as Pushes
     from difffric.rig import Rig as Rig
     from difffric.rig import spring_damper_rig as spring_damper_rig
-    from difffric.derivatives import regime_margin as regime_margin
-    from difffric.derivatives import sensitivity as sensitivity
     from difffric.setup_file import load_setup as load_setup
     from difffric.trajectory import Trajectory as Trajectory
     from difffric.trajectory import simulate as simulate

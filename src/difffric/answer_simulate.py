@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from difffric import parameters
+from difffric.derivatives import regime_margin, sensitivity
 from difffric.push import REASONS, REGIMES
 from difffric.report import NO_STROKE, Picture, Report, Section, Table, number
 from difffric.rig import Rig
-from difffric.derivatives import regime_margin, sensitivity
 from difffric.units import from_mm_min, to_um
 
 
