@@ -38,9 +38,9 @@ def paper_report(paper: Paper) -> Report:
                 "What equation (2) gets wrong here",
                 (
                     "A rebound at most doubles the speed, so that d <= 4 v² / (2 mu_k g) for any "
-                    "k, b and k_v (at mu_k = 0.75 mu_s). The measured d at 500 and 1000 mm/min is above it "
-                    "in both conditions alike: what DRY and OILY share points at the rig, not at "
-                    "the friction. These four are left out of the calibration.",
+                    "k, b and k_v (at mu_k = 0.75 mu_s). The measured d at 500 and 1000 mm/min is "
+                    "above it in both conditions alike: what DRY and OILY share points at the "
+                    "rig, not at the friction. These four are left out of the calibration.",
                 ),
                 [_misfit_table(paper)],
                 [

@@ -253,7 +253,8 @@ class Diffrax(eqx.Module):
         """Step until a guard has passed, for the time `left` [s] or, if endless, the horizon."""
         until = stop_gradient(jnp.where(jnp.isfinite(left), left, self.horizon))
         controller = diffrax.PIDController(self.rtol, self.atol)
-        order = self.solver.error_order(None)
+        order = self.solver.error_order(_terms(motion))
+        assert order is not None
         may_dip = motion.mode == "approach" and HALT in guards
         may_peak = motion.mode == "approach" and bool(guards)
 
@@ -289,17 +290,17 @@ class Diffrax(eqx.Module):
         wrong = jnp.any(jnp.array([motion.before(event, y) < -1e-12 for event in guards], bool))
         steady = is_steady(y)
         over = steady | wrong | (until <= 0)
-        h = 0.02 * motion.time
-        state = controller.init(None, 0.0, h, y, h, None, None, order)[1]
-        here = _Step(0.0, y, 0.0)
-        start = _March(here, 0.0, y, h, state, here, -jnp.inf, steady, over, 0)
-        return jax.lax.while_loop(
-            lambda m: ~m.over & (m.count < self.max_steps), step, jax.tree.map(jnp.asarray, start)
-        )
+        h, zero = 0.02 * motion.time, jnp.zeros(())
+        state = controller.init(_terms(motion), 0.0, h, y, h, None, self.solver.func, order)[1]
+        state = jax.tree.map(jnp.asarray, state)
+        here = _Step(zero, y, zero)
+        start = _March(here, zero, y, h, state, here, zero - jnp.inf, steady, over, jnp.asarray(0))
+        return jax.lax.while_loop(lambda m: ~m.over & (m.count < self.max_steps), step, start)
 
     def _step(self, motion, y, h):
         """One step of the length h [s]: the state after it, and its error. Written out: fast."""
         tableau = self.solver.tableau
+        assert isinstance(tableau, diffrax.ButcherTableau)
 
         def weighted(weights):
             return h * sum(float(a) * rate for a, rate in zip(weights, rates, strict=False) if a)
@@ -311,7 +312,7 @@ class Diffrax(eqx.Module):
 
     def _flow(self, motion, y, h):
         """The state after the same step, by diffrax's loop over the stages: compiles sooner."""
-        terms = diffrax.ODETerm(lambda t, y, args: motion(y))
+        terms = _terms(motion)
         solver = dataclasses.replace(self.solver, scan_kind="lax")
         state = solver.init(terms, 0.0, h, y, None)
         return solver.step(terms, 0.0, h, y, None, state, False)[0]
@@ -349,6 +350,10 @@ class Diffrax(eqx.Module):
         """The leg; where it could not be followed to its end, NaN and an infinite peak."""
         lost = Leg(jnp.nan, NONE, jnp.nan, jnp.nan, slid=jnp.nan, peak=jnp.inf)
         return _select(~march.over | ~jnp.isfinite(march.h), lost, leg)
+
+
+def _terms(motion):
+    return diffrax.ODETerm(lambda t, y, args: motion(y))
 
 
 def _reach(contact, v_p, force):
