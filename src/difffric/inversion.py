@@ -208,9 +208,9 @@ def _answer(roots, target, quantity, bracket, ends) -> Inversion:
         set_by = ": the peak is b v at touch, or set by the stroke" if what == "F_p" else ""
         return Inversion(None, reason=f"{what} does not depend on mu_s here{set_by}")
     if roots:
-        mu_s, slopes = zip(*_distinct(roots), strict=True)
-        several = (mu_s, slopes) if len(mu_s) > 1 else ((), ())
-        return Inversion(mu_s[0], slopes[0], *several)
+        distinct = _distinct(roots)
+        every = tuple(mu_s for mu_s, _ in distinct), tuple(slope for _, slope in distinct)
+        return Inversion(*distinct[0], *(every if len(distinct) > 1 else ((), ())))
     where = f"for mu_s from {bracket[0]:g} to {bracket[1]:g}"
     least, most = ends
 
