@@ -15,6 +15,7 @@ from difffric.errors import InputError
 from difffric.friction import AbstractFriction
 from difffric.integrate import Diffrax
 from difffric.observables import observe
+from difffric.push import REASONS
 from difffric.pusher import ConstantSpeed
 from difffric.rig import Rig, spring_damper_rig
 
@@ -314,12 +315,6 @@ def test_states_within_a_leg(closing):
         np.testing.assert_allclose(ours, exact, rtol=1e-8, atol=1e-14)
 
 
-def test_a_push_that_takes_too_many_steps_is_not_answered():
-    rig = spring_damper_rig(mass=18.9, mu_s=0.14, k=8.5e5, b=2000.0)
-    seen = jax.jit(lambda v: observe(rig, v, Diffrax(max_steps=5)))(0.03)
-    assert not np.isfinite(seen.peak_force) and np.isnan(seen.sliding_distance)
-
-
 def test_refusals():
     curved = Rig(10.0, Stribeck(0.2, 0.1, 0.05), Hertz(2e8, 1.5, 500.0))
     with pytest.raises(InputError, match="Stribeck with Hertz is not"):
@@ -327,3 +322,14 @@ def test_refusals():
     Diffrax().check(curved)
     with pytest.raises(InputError, match="explicit Runge-Kutta method"):
         Diffrax(solver=diffrax.Kvaerno5()).check(curved)
+
+
+def test_a_push_that_cannot_be_followed_says_so():
+    """A law that gives no number, and too few steps: a reason, never a plausible number."""
+    hertz = Hertz(k=jnp.asarray(jnp.nan), n=jnp.asarray(1.5), b=jnp.asarray(10.0))
+    paper = spring_damper_rig(mass=18.9, mu_s=0.141, k=8e5, b=1500.0, k_v=5.0)
+    broken = Rig(paper.mass, paper.friction, hertz)
+    for rig, integrator in ((broken, Diffrax()), (paper, Diffrax(max_steps=3))):
+        seen = observe(rig, 0.05, integrator)
+        assert jnp.isnan(seen.peak_force) and jnp.isnan(seen.sliding_distance)
+        assert "could not be integrated" in REASONS[int(seen.reason)]

@@ -51,12 +51,20 @@ def observables(push: sim.Push, state: sim.State) -> Observables:
     """Read F_p, d and the regime off the last state of a push."""
     too_many = state.contacts > sim.MAX_CONTACTS
     too_long = state.cycles >= sim.MAX_CYCLES
+    lost_track = ~jnp.isfinite(state.peak)
     left = state.lost & ~state.in_contact
     # Behind a standing tip an overdamped rebound comes to rest too, if only asymptotically.
     for_ever = state.endless & (state.segment.v_p > 0)
     reason = jnp.select(
-        [too_many, too_long, for_ever, ~left],
-        [sim.TOO_MANY_CONTACTS, sim.TOO_MANY_CYCLES, sim.NEVER_RELEASED, sim.RESTS_IN_CONTACT],
+        [lost_track, too_many, too_long, for_ever, ~left, state.endless],
+        [
+            sim.NOT_FOLLOWED,
+            sim.TOO_MANY_CONTACTS,
+            sim.TOO_MANY_CYCLES,
+            sim.NEVER_RELEASED,
+            sim.RESTS_IN_CONTACT,
+            sim.NEVER_RESTS,
+        ],
         sim.OK,
     )
     regime = jnp.select(
@@ -68,7 +76,7 @@ def observables(push: sim.Push, state: sim.State) -> Observables:
     for count in (state.contacts, state.sticks, state.peak_contact):
         kind = kind * 1024 + count
     return Observables(
-        peak_force=jnp.where(too_many | too_long, jnp.nan, state.peak),
+        peak_force=jnp.where(lost_track | too_many | too_long, jnp.nan, state.peak),
         sliding_distance=jnp.where(reason != sim.OK, jnp.nan, state.slid),
         reason=reason,
         regime=regime,

@@ -23,13 +23,16 @@ STUCK, CLOSING, REBOUNDING, FREE = range(4)
 MAX_CONTACTS = 16
 MAX_CYCLES = 1000
 
-OK, RESTS_IN_CONTACT, NEVER_RELEASED, TOO_MANY_CONTACTS, TOO_MANY_CYCLES = range(5)
+OK, RESTS_IN_CONTACT, NEVER_RELEASED, NEVER_RESTS, TOO_MANY_CONTACTS, TOO_MANY_CYCLES = range(6)
+NOT_FOLLOWED = 6
 REASONS = (
     None,
     "rests in contact",
     "never released: without a stroke the pusher goes on for ever",
+    "never comes to rest",
     f"more than {MAX_CONTACTS} contacts",
     f"more than {MAX_CYCLES} cycles in contact",
+    "could not be integrated: more steps were needed than allowed, or a law gave no number",
 )
 
 NO_MOTION, PUSHED_TO_REST, RELEASED_BY_REBOUND, RELEASED_AT_STOP = range(4)
@@ -194,7 +197,7 @@ class Push(NamedTuple):
     def _closing(self, state: State) -> State:
         s = state.segment
         leg = self.integrator.closing(self.rig, s.z, s.u, s.v_p, self._left(s), not self.once)
-        higher = leg.peak > state.peak
+        higher = ~(leg.peak <= state.peak)  # so that a peak that is no number shows
         mode = jnp.where(leg.event == HALT, STUCK, REBOUNDING)
         never = leg.event == NONE
         after = self._advance(s, leg.dt, leg.event, mode, leg.z, leg.u)
@@ -235,6 +238,7 @@ class Push(NamedTuple):
             contacts=state.contacts + caught,
             in_contact=caught,
             slid=state.slid + leg.slid,
+            endless=state.endless | (leg.event == NONE),
         )
 
     def last_state(self) -> State:

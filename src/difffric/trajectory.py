@@ -92,9 +92,12 @@ def _at(trajectory: Trajectory, time):
     dt = jnp.maximum(time - s.t, 0.0)
     y = s.y + s.v_p * dt
 
-    z_c, u_c = integrator.pushed_state(rig, True, s.z, s.u, s.v_p, dt)
-    z_r, u_r = integrator.pushed_state(rig, False, s.z, s.u, s.v_p, dt)
-    slid, u_f = integrator.free_state(rig, s.u, dt)
+    def within(mode):  # no mode is followed where it does not hold
+        return jnp.where(s.mode == mode, dt, 0.0)
+
+    z_c, u_c = integrator.pushed_state(rig, True, s.z, s.u, s.v_p, within(CLOSING))
+    z_r, u_r = integrator.pushed_state(rig, False, s.z, s.u, s.v_p, within(REBOUNDING))
+    slid, u_f = integrator.free_state(rig, s.u, within(FREE))
     stuck = (s.z + s.v_p * dt, jnp.zeros_like(s.u))
     moving = ((z_c, u_c), (z_r, u_r), (s.z + s.v_p * dt - slid, u_f))
     z, u = stuck
