@@ -202,7 +202,7 @@ def test_32_bits_are_refused():
         jax.config.update("jax_enable_x64", True)
 
 
-@pytest.mark.parametrize("velocity", [0.0, -1.0, np.nan, np.inf])
+@pytest.mark.parametrize("velocity", [0.0, -1.0, np.nan, np.inf, "fast", np.array([0.05, 0.06])])
 def test_an_impossible_speed_is_refused(velocity):
     with pytest.raises(df.InputError, match="velocity"):
         df.simulate(df.spring_damper_rig(**PAPER), velocity)

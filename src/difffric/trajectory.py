@@ -130,9 +130,13 @@ def simulate(
     if stroke is not None:
         rig = parameters.with_stroke(rig, stroke)
     checked(rig)
-    if not isinstance(velocity, Tracer) and not np.all((velocity > 0) & np.isfinite(velocity)):
-        raise InputError(f"velocity: expected a number > 0, got {velocity}")
-    push = Push.of(rig, velocity, integrator)
+    if not isinstance(velocity, Tracer):
+        if isinstance(velocity, str) or np.ndim(velocity) != 0:
+            raise InputError(
+                f"velocity: expected one number [m/s], got {velocity!r}; jax.vmap gives several"
+            )
+        if not 0 < velocity < np.inf:
+            raise InputError(f"velocity: expected a number > 0, got {velocity}")
     return _follow(
         push._replace(rig=parameters.as_arrays(rig), velocity=jnp.asarray(velocity, float))
     )
