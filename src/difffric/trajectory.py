@@ -135,11 +135,11 @@ def simulate(
             raise InputError(
                 f"velocity: expected one number [m/s], got {velocity!r}; jax.vmap gives several"
             )
-        if not 0 < velocity < np.inf:
+        if not 0 < float(velocity) < np.inf:
             raise InputError(f"velocity: expected a number > 0, got {velocity}")
-    return _follow(
-        push._replace(rig=parameters.as_arrays(rig), velocity=jnp.asarray(velocity, float))
-    )
+    push = Push.of(rig, velocity, integrator)
+    arrays = parameters.as_arrays((push.rig, push.velocity))
+    return _follow(push._replace(rig=arrays[0], velocity=arrays[1]))
 
 
 @eqx.filter_jit
