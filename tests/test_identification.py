@@ -188,3 +188,16 @@ def test_calibration_finds_the_rig_from_a_start_a_factor_of_three_off():
         assert fit.standard_error(name) < 0.3 * exact
     assert 0.25 < fit.spread_force < 0.9
     assert 0.5e-6 < fit.spread_distance < 1.8e-6
+
+
+@pytest.mark.parametrize("free", [(), ("k",), ("mu_s",)])
+def test_a_calibration_refuses_what_it_cannot_free(free):
+    pushes = df.Pushes([0.05], [174.0], [3.5e-3], mu_s_gauge=[0.14])
+    with pytest.raises(df.InputError, match="free must be some of mu_k_over_mu_s"):
+        df.fit(df.spring_damper_rig(**PAPER), pushes, free=free)
+
+
+@pytest.mark.parametrize("name", ["peak_force", "mu_s_gauge", "peak_force_se", "stroke"])
+def test_measurements_must_be_positive(name):
+    with pytest.raises(df.InputError, match=f"{name} of push 1 is -1.0: expected > 0"):
+        df.Pushes([0.05, 0.05], **{name: [1.0, -1.0]})

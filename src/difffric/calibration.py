@@ -201,6 +201,9 @@ def fit(
     `NumericalError` where no start gives a finite misfit.
     """
     free = tuple(free)
+    known = [name for name in parameters.names(rig) if name != "mu_s"]
+    if not free or not set(free) <= set(known):
+        raise InputError(f"fit: free must be some of {', '.join(known)}; got {', '.join(free)}")
     if np.isnan(pushes.mu_s_gauge).any():
         raise InputError("fit: mu_s_gauge is missing in at least one push; it is needed here")
     rigs = rigs_of(rig, pushes)

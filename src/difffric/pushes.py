@@ -13,7 +13,16 @@ from difffric.errors import InputError
 
 _NOT_MEASURED: Any = None  # what may be left out; an instance holds NaN there
 
-_POSITIVE = ("velocity", "sliding_distance", "mass", "stroke", "peak_force")
+_POSITIVE = (
+    "velocity",
+    "sliding_distance",
+    "mass",
+    "stroke",
+    "peak_force",
+    "mu_s_gauge",
+    "peak_force_se",
+    "sliding_distance_se",
+)
 
 
 @dataclass(frozen=True)
