@@ -201,3 +201,17 @@ def test_a_calibration_refuses_what_it_cannot_free(free):
 def test_measurements_must_be_positive(name):
     with pytest.raises(df.InputError, match=f"{name} of push 1 is -1.0: expected > 0"):
         df.Pushes([0.05, 0.05], **{name: [1.0, -1.0]})
+
+
+def test_a_spread_that_was_not_estimated_is_not_used():
+    """Fitted on distances alone, nothing is known of the force: no error bar and no optimum."""
+    rig = df.spring_damper_rig(**PAPER)
+    v = np.linspace(0.02, 0.08, 6)
+    d = [
+        float(df.observe(rig, x).sliding_distance) * (1 + 0.01 * (-1) ** i) for i, x in enumerate(v)
+    ]
+    fit = df.fit(rig, df.Pushes(v, None, d, mu_s_gauge=np.full(6, 0.141)), free=("b_N_s_per_m",))
+    assert np.isnan(fit.spread_force) and fit.spread_distance > 0
+    (answer,) = df.identify(fit, df.Pushes([0.05], [174.0], [3.5e-3]))
+    assert answer.mu_s_force.standard_error is None and answer.mu_s_optimal.value is None
+    assert "noise" in answer.reason

@@ -43,6 +43,7 @@ class Fit:
     `covariance` is that of the logarithms of the free parameters. It holds for the spreads
     `spread_force` [N] and `spread_distance` [m], which are estimated from the residuals, so
     that the reduced chi-square is 1 by construction, unless standard errors were given.
+    A spread that was not estimated is NaN.
     """
 
     rig: Rig
@@ -220,6 +221,7 @@ def fit(
 
     spread = [np.std(row[p]) if p.any() else 1.0 for row, p in zip(measured, present, strict=True)]
     spread = np.maximum(0.05 * np.array(spread), 1e-12)
+    estimated = present & np.isnan(given)
     active, every, settled = np.ones(len(free), bool), True, False
     for _ in range(_ROUNDS):
         # All starts at once, then the best one only (in the same program) while the spreads
@@ -250,8 +252,8 @@ def fit(
         free=free,
         vanished=tuple(name for name, on in zip(free, active, strict=True) if not on),
         covariance=covariance,
-        spread_force=float(spread[0]),
-        spread_distance=float(spread[1]),
+        spread_force=float(spread[0]) if estimated[0].any() else np.nan,
+        spread_distance=float(spread[1]) if estimated[1].any() else np.nan,
         reduced_chi2=float(chi2[best] / (present.sum() - active.sum())),
         converged=_still_to_gain(r, jacobian) < _ARRIVED and settled,
         starts_at_optimum=(reached, len(chi2)),

@@ -106,9 +106,13 @@ def identify(
     """
     calibration = rig if isinstance(rig, Fit) else None
     if isinstance(rig, Fit):
-        rig, fallback = rig.rig, (rig.spread_force, rig.spread_distance)
+        spreads, rig = (rig.spread_force, rig.spread_distance), rig.rig
     else:
-        fallback = sensor_errors(rig)
+        spreads = (np.nan, np.nan)
+    fallback = [
+        sensor if np.isnan(spread) else spread
+        for spread, sensor in zip(spreads, sensor_errors(rig), strict=True)
+    ]
     if range_ratio is None:
         range_ratio = family(rig, integrator=integrator).range_ratio
     rigs = rigs_of(rig, pushes)
@@ -157,9 +161,12 @@ def _combine(pushes, i, force, distance, se, gradient, calibration, range_ratio,
     single = [estimate(np.eye(2)[j]) if exists[j] else none for j in range(2)]
     by_7, weights, best, disagreement = none, None, none, None
     if exists.all():
+        if not np.isfinite(range_ratio):
+            reasons.append("no (7): the model gives no range of d")
         _, w_F, w_d = weighted(mu[0], mu[1], slope[0], slope[1], range_ratio)
-        weights = {"force": float(w_F), "distance": float(w_d)}
-        by_7 = estimate(np.array([w_F, w_d]))
+        if np.isfinite(w_F):
+            weights = {"force": float(w_F), "distance": float(w_d)}
+            by_7 = estimate(np.array([w_F, w_d]))
         if np.isfinite(covariance).all():
             w = np.linalg.solve(covariance, np.ones(2))
             best = estimate(w / w.sum())

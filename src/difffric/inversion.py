@@ -157,6 +157,8 @@ def invert(
 
     Raises `InputError` where the lengths differ.
     """
+    if not 0 < bracket[0] < bracket[1] < np.inf:
+        raise InputError(f"bracket: expected 0 < lower < upper, got {bracket}")
     velocity, target = np.broadcast_arrays(np.atleast_1d(velocity), np.atleast_1d(target))
     velocity, target = velocity.astype(float), target.astype(float)
     n = len(target)

@@ -66,7 +66,7 @@ class Pushes:
                 raise InputError(f"{f.name} has {len(column)} entries, velocity has {n}")
             object.__setattr__(self, f.name, column)
         if not np.isfinite(self.velocity).all():
-            raise InputError(f"velocity is not a number in push {_first(self.velocity, np.isnan)}")
+            raise InputError(f"velocity is not a number in push {_first(self.velocity, _bad)}")
         for name in _POSITIVE:
             column = getattr(self, name)
             if (column <= 0).any() or np.isinf(column).any():
@@ -86,6 +86,10 @@ class Pushes:
             for f in fields(self)
         }
         return replace(self, **changed)
+
+
+def _bad(column):
+    return ~np.isfinite(column)
 
 
 def _first(column, bad):

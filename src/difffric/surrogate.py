@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
+from difffric.errors import NumericalError
 from difffric.units import from_um, to_mm_min, to_um
 
 
@@ -75,8 +76,15 @@ class DistanceSurrogate:
 
     @classmethod
     def fitted(cls, velocity, mu_s, sliding_distance) -> DistanceSurrogate:
-        """Least squares over all points given (NaN left out), from the published values."""
+        """Least squares over all points given (NaN left out), from the published values.
+
+        Raises `NumericalError` with fewer points than coefficients.
+        """
         v, mu, d = _finite(velocity, mu_s, sliding_distance)
+        if len(d) < 5:
+            raise NumericalError(
+                f"equation (5): {len(d)} pushes that slide cannot determine its 5 coefficients"
+            )
 
         def surrogate(p):
             return cls(p[0], float(np.exp(p[1])), p[2], float(np.exp(p[3])), p[4])
