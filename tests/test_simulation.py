@@ -215,6 +215,20 @@ def test_an_impossible_parameter_is_refused(name, value):
         df.simulate(df.spring_damper_rig(**{**PAPER, name: value}), 0.05)
 
 
+@pytest.mark.parametrize("answer", [df.fit, df.identify])
+def test_an_impossible_rig_is_refused_by_whatever_takes_it(answer):
+    pushes = df.Pushes([0.05], [174.0], [3.5e-3], mu_s_gauge=[0.14])
+    with pytest.raises(df.InputError, match="expected a number > 0"):
+        answer(df.spring_damper_rig(**{**PAPER, "k": -1.0}), pushes)
+
+
+def test_a_slide_almost_without_friction_is_stopped_by_viscosity():
+    """As mu_s vanishes d tends to m u / k_v, and never overflows to nothing."""
+    d = [float(df.observe(df.spring_damper_rig(**{**PAPER, "mu_s": mu}), 0.05).sliding_distance)
+         for mu in (1e-100, 1e-200)]  # fmt: skip
+    assert d[1] == pytest.approx(d[0], rel=1e-9) and d[0] > 0.1
+
+
 @pytest.mark.parametrize("stroke", [0.0, -1e-3, np.nan])
 def test_an_impossible_stroke_is_refused(stroke):
     with pytest.raises(df.InputError, match="stroke"):

@@ -123,6 +123,6 @@ class Slide(NamedTuple):
         y_l = jnp.where(small, 1.0, y)
         y_s = jnp.where(small, y, 0.0)
         log = jnp.log1p(y_l)
-        half = jnp.where(small, _series(_BRAKE, y_s), (y_l - log) / y_l**2)
+        half = jnp.where(small, _series(_BRAKE, y_s), (1.0 - log / y_l) / y_l)
         one = jnp.where(small, 1.0 - y_s * half, log / y_l)
         return u / self.drag * one, u**2 / self.drag * half

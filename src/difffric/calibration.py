@@ -17,6 +17,7 @@ from difffric.errors import InputError, NumericalError
 from difffric.observables import observe
 from difffric.pushes import Pushes
 from difffric.rig import Rig
+from difffric.setup_file import checked
 
 FREE = ("k_N_per_m", "b_N_s_per_m", "k_v_N_s_per_m")
 """What a calibration with known mu_s determines by default."""
@@ -201,6 +202,7 @@ def fit(
     Raises `InputError` without a gauge or with fewer measurements than free parameters, and
     `NumericalError` where no start gives a finite misfit.
     """
+    checked(rig)
     free = tuple(free)
     known = [name for name in parameters.names(rig) if name != "mu_s"]
     if not free or not set(free) <= set(known):

@@ -20,6 +20,7 @@ from difffric.parameters import pick
 from difffric.push import REGIMES
 from difffric.pushes import Pushes
 from difffric.rig import Rig
+from difffric.setup_file import checked
 from difffric.surrogate import weighted
 
 
@@ -113,6 +114,7 @@ def identify(
         sensor if np.isnan(spread) else spread
         for spread, sensor in zip(spreads, sensor_errors(rig), strict=True)
     ]
+    checked(rig)
     if range_ratio is None:
         range_ratio = family(rig, integrator=integrator).range_ratio
     rigs = rigs_of(rig, pushes)
