@@ -22,17 +22,20 @@ _POSITIVE = (
     "mu_s_gauge",
     "peak_force_se",
     "sliding_distance_se",
+    "release_velocity",
+    "release_velocity_se",
 )
 
 
 @dataclass(frozen=True)
 class Pushes:
-    """n measured pushes. Every field but `velocity` is optional; NaN: not measured.
+    """n measured pushes, or free slides where `release_velocity` stands for `velocity`. Every
+    other field is optional; NaN: not measured.
 
     Raises `InputError` for lengths that differ and values that are not positive.
     """
 
-    velocity: NDArray
+    velocity: NDArray = _NOT_MEASURED
     """[m/s]"""
     peak_force: NDArray = _NOT_MEASURED
     """F_p [N]"""
@@ -49,48 +52,62 @@ class Pushes:
     """standard error of F_p [N]"""
     sliding_distance_se: NDArray = _NOT_MEASURED
     """standard error of d [m]"""
+    release_velocity: NDArray = _NOT_MEASURED
+    """the part's speed where it lost contact [m/s]"""
+    release_velocity_se: NDArray = _NOT_MEASURED
+    """its standard error [m/s]"""
+    trial: NDArray = _NOT_MEASURED
+    """number of the repetition"""
+    order: NDArray = _NOT_MEASURED
+    """place in the order of the pushes"""
+    rest_before: NDArray = _NOT_MEASURED
+    """rest before the push [s]"""
+    source: str = ""
+    """the file they come from"""
+    skipped: tuple[str, ...] = ()
+    """what of the file was left out, a line each: only where that was asked for"""
 
     def __post_init__(self):
-        n = len(np.atleast_1d(self.velocity))
+        first = self.release_velocity if self.velocity is None else self.velocity
+        n = 0 if first is None else len(np.atleast_1d(first))
         if n == 0:
             raise InputError("no pushes: at least one is needed")
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if f.name == "condition":
+        for name in COLUMNS:
+            value = getattr(self, name)
+            if name == "condition":
                 column = ("",) * n if value is None else tuple(value)
             elif value is None:
                 column = np.full(n, np.nan)
             else:
                 column = np.atleast_1d(np.asarray(value, float))
             if len(column) != n:
-                raise InputError(f"{f.name} has {len(column)} entries, velocity has {n}")
-            object.__setattr__(self, f.name, column)
-        if not np.isfinite(self.velocity).all():
-            raise InputError(f"velocity is not a number in push {_first(self.velocity, _bad)}")
+                raise InputError(f"{name} has {len(column)} entries, expected {n}")
+            object.__setattr__(self, name, column)
+        nothing = np.isnan(self.velocity) & np.isnan(self.release_velocity)
+        if nothing.any() or np.isinf(self.velocity).any():
+            row = int(np.argmax(nothing | np.isinf(self.velocity)))
+            raise InputError(f"velocity is not a number in push {row}")
         for name in _POSITIVE:
             column = getattr(self, name)
-            if (column <= 0).any() or np.isinf(column).any():
-                row = _first(column, lambda c: (c <= 0) | np.isinf(c))
+            bad = (column <= 0) | np.isinf(column)
+            if bad.any():
+                row = int(np.argmax(bad))
                 raise InputError(f"{name} of push {row} is {column[row]}: expected > 0")
 
     def __len__(self):
         return len(self.velocity)
 
+    @property
+    def free_slides(self) -> bool:
+        """Whether only the slide from its release was measured, without a push."""
+        return bool(np.isnan(self.velocity).all())
+
     def select(self, keep) -> Pushes:
         """The pushes where `keep` (a mask or indices) says so."""
         index = np.arange(len(self))[keep]
-        changed = {
-            f.name: tuple(self.condition[i] for i in index)
-            if f.name == "condition"
-            else getattr(self, f.name)[index]
-            for f in fields(self)
-        }
-        return replace(self, **changed)
+        changed = {name: getattr(self, name)[index] for name in COLUMNS if name != "condition"}
+        return replace(self, **changed, condition=tuple(self.condition[i] for i in index))
 
 
-def _bad(column):
-    return ~np.isfinite(column)
-
-
-def _first(column, bad):
-    return int(np.argmax(bad(column)))
+COLUMNS = tuple(f.name for f in fields(Pushes) if f.name not in ("source", "skipped"))
+"""The fields that have an entry a push."""
