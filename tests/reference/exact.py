@@ -170,6 +170,7 @@ class Result:
     contacts: int
     segments: tuple[Segment, ...]
     too_many_contacts: bool = False
+    states: tuple[State, ...] = ()  # at the start of each segment
 
     @property
     def modes(self) -> tuple[str, ...]:
@@ -392,15 +393,20 @@ def push(
     state = State(p.zero, p.zero, p.zero, p.zero, True)
     stuck_first = not p.b * p.v > p.static
     segments: list[Segment] = []
+    states: list[State] = []
     try:
         mode = p.touch(state)
         while mode is not None:
-            segment, state, mode = getattr(p, mode)(state)
+            before = state
+            segment, state, mode = getattr(p, mode)(before)
             segments.append(segment)
+            states.append(before)
             if len(segments) > max_segments:
                 raise ArithmeticError("too many segments")
     except TooManyContacts:
-        return Result(None, None, None, stuck_first, p.contacts, tuple(segments), True)
+        return Result(
+            None, None, None, stuck_first, p.contacts, tuple(segments), True, tuple(states)
+        )
 
     moved = any(s.mode == "closing" for s in segments)
     if p.in_contact:
@@ -410,7 +416,9 @@ def push(
         distance = state.x - p.lost_at
         regime = "released_by_rebound" if p.lost_moving else "released_at_stop"
     peak = max(s.peak for s in segments)
-    return Result(peak, distance, regime, stuck_first, p.contacts, tuple(segments))
+    return Result(
+        peak, distance, regime, stuck_first, p.contacts, tuple(segments), False, tuple(states)
+    )
 
 
 def _both_sides(rig: dict, argument: str, step: str):

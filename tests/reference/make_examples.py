@@ -1,0 +1,162 @@
+"""Writes examples/: a set-up of rough guesses, and measurements whose truth is known.
+
+    python -m tests.reference.make_examples [DIR]
+
+The same seed gives the same files.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from tests.reference import files
+from tests.reference.data import (
+    MM_MIN,
+    Noise,
+    Push,
+    Rig,
+    make_pushes,
+    measure,
+    measure_slides,
+    record,
+)
+
+SEED = 20250301
+EXAMPLES = Path(__file__).parents[2] / "examples"
+DRY = Rig(m=18.9, mu_s=0.141, ratio=0.75, k_v=6.0, k=8.2e5, b=1600.0, scatter=0.02, stroke=1.2e-3)
+RIGS = {"DRY": DRY, "OILY": replace(DRY, mu_s=0.106)}
+SPEEDS = tuple(MM_MIN * v for v in (600, 1000, 1500, 2000, 3000, 4000, 5000))
+NOISE = Noise(force=0.5, position=0.3e-6, force_step=2 * 446.0 / 2**15, position_step=20e-9)
+FORCE_SE, DISTANCE_SE = 0.3, 0.2e-6  # of the table: read by hand from the recordings' curves
+SLIDES = 20
+SLIDE_VELOCITY_SE, SLIDE_DISTANCE_SE = 0.01, 20e-6
+
+SETUP = """\
+# Rough guesses for the rig of pushes.csv and pushes.tdms: what an engineer knows before the first
+# fit. truth.json has what the data were made with.
+
+[part]
+mass_kg = 18.9                # weighed
+
+[friction]                    # equation (1)
+mu_s = 0.12                   # a guess, for both conditions
+mu_k_over_mu_s = 0.75
+k_v_N_s_per_m = 5.0           # a guess
+
+[contact]                     # equation (2)
+k_N_per_m = 5.0e5             # a guess: the truth may be twice that
+b_N_s_per_m = 900.0           # likewise
+
+[pusher]
+stroke_mm = 1.2
+
+[force_sensor]                # from its data sheet
+sensitivity_mV_per_N = 11.2
+range_N = 446.0
+rate_Hz = 10000.0
+noise_N = 0.5
+
+[probe]
+resolution_um = 0.02
+noise_um = 0.3
+"""
+
+README = """\
+# Examples
+
+Made data: the truth is known, and a fit can be held against it.
+
+| file | is |
+| --- | --- |
+| `setup.toml` | an engineer's rough guesses of the rig |
+| `pushes.csv` | {n} pushes, DRY and OILY: `F_p` and `d` with their standard errors |
+| `pushes.tdms` | the same {n} pushes recorded: force and position at 10 kHz |
+| `slides.csv` | {slides} free slides, DRY and OILY: release speed and distance |
+| `truth.json` | what they were made with: the rig, each push's own `mu_s`, its `F_p` and `d` |
+
+```sh
+difffric fit examples/pushes.tdms --setup examples/setup.toml --out out/fit
+difffric identify examples/pushes.csv --setup examples/setup.toml --out out/identify
+```
+
+## How they were made
+
+By the tests' simulator, which solves equations (1) and (2) piece by piece, in closed form, and
+shares no code with the library:
+
+```sh
+.venv/bin/python -m tests.reference.make_examples
+```
+
+Seed {seed}. In each push `mu_s` differs from its condition's value by a scatter of {scatter:g} %
+(log `mu_s` is normal). The recordings begin 20 ms before the push and end 30 ms after the last
+motion. Their noise is white, {force:g} N and {position:g} µm; the force is rounded to steps
+of a 16-bit converter over ±446 N, the position to 20 nm, from a zero that differs from push to
+push. Noise of the table: {force_se:g} N and {distance_se:g} µm; of the slides:
+{slide_velocity_se:g} % in speed and {slide_distance_se:g} µm.
+"""
+
+
+def draw() -> tuple[list[Push], np.random.Generator]:
+    """The pushes, and the generator for their noise."""
+    rng = np.random.default_rng(SEED)
+    pushes: list[Push] = []
+    for condition, rig in RIGS.items():
+        n, first = len(SPEEDS), len(pushes) + 1
+        pushes += make_pushes(rig, rng, n, SPEEDS, condition=condition, first=first)
+    return pushes, rng
+
+
+def write(directory: Path) -> None:
+    """Write all files of examples/."""
+    directory.mkdir(parents=True, exist_ok=True)
+    pushes, rng = draw()
+    table = measure(pushes, rng, force_se=FORCE_SE, distance_se=DISTANCE_SE)
+    files.write_table(directory / "pushes.csv", table, digits=6)
+    recorded = [record(push, rng, noise=NOISE) for push in pushes]
+    files.write_recordings(directory / "pushes.tdms", recorded)
+    slides = [
+        measure_slides(
+            rig,
+            rng,
+            SLIDES,
+            condition=condition,
+            velocity_se=SLIDE_VELOCITY_SE,
+            distance_se=SLIDE_DISTANCE_SE,
+        )
+        for condition, rig in RIGS.items()
+    ]
+    both = {name: np.concatenate([s.columns[name] for s in slides]) for name in slides[0].columns}
+    both["order"] = np.arange(1.0, len(both["order"]) + 1)
+    files.write_table(directory / "slides.csv", both, digits=6)
+    own = np.concatenate([s.mu_s for s in slides])
+    files.write_json(
+        directory / "truth.json",
+        {
+            "seed": SEED,
+            **files.truth(RIGS, pushes),
+            "slides": {"mu_s": [files.in_unit(mu_s, 1.0, 10) for mu_s in own]},
+        },
+    )
+    (directory / "setup.toml").write_text(SETUP)
+    said = README.format(
+        n=len(pushes),
+        slides=len(own),
+        seed=SEED,
+        scatter=100 * DRY.scatter,
+        force=NOISE.force,
+        position=1e6 * NOISE.position,
+        force_se=FORCE_SE,
+        distance_se=1e6 * DISTANCE_SE,
+        slide_velocity_se=100 * SLIDE_VELOCITY_SE,
+        slide_distance_se=1e6 * SLIDE_DISTANCE_SE,
+    )
+    (directory / "README.md").write_text(said, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write(Path(sys.argv[1]) if len(sys.argv) > 1 else EXAMPLES)
