@@ -15,6 +15,8 @@ _HOME = {
     "InputError": "errors",
     "NumericalError": "errors",
     "Pushes": "pushes",
+    "Recording": "recordings",
+    "Recordings": "recordings",
     "Rig": "rig",
     "Trajectory": "trajectory",
     "UnilateralSpringDamper": "contact",
@@ -23,6 +25,7 @@ _HOME = {
     "fit": "calibration",
     "identify": "estimators",
     "invert": "inversion",
+    "load": "data_file",
     "load_setup": "setup_file",
     "observe": "observables",
     "regime_margin": "derivatives",
@@ -38,6 +41,7 @@ if TYPE_CHECKING:
     from difffric.closed_form import ClosedForm as ClosedForm
     from difffric.contact import AbstractContact as AbstractContact
     from difffric.contact import UnilateralSpringDamper as UnilateralSpringDamper
+    from difffric.data_file import load as load
     from difffric.derivatives import regime_margin as regime_margin
     from difffric.derivatives import sensitivity as sensitivity
     from difffric.errors import DifffricError as DifffricError
@@ -52,6 +56,8 @@ if TYPE_CHECKING:
     from difffric.observables import observe as observe
     from difffric.pusher import ConstantSpeed as ConstantSpeed
     from difffric.pushes import Pushes as Pushes
+    from difffric.recordings import Recording as Recording
+    from difffric.recordings import Recordings as Recordings
     from difffric.rig import Rig as Rig
     from difffric.rig import spring_damper_rig as spring_damper_rig
     from difffric.setup_file import load_setup as load_setup

@@ -1,119 +1,72 @@
-"""Calibration: the rig's parameters from pushes whose friction is known."""
+"""Calibration: the rig's parameters, each push's mu_s and its scatter, from measured pushes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import product
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from numpy.typing import NDArray
+from scipy import stats
 
-from difffric import parameters
+from difffric import coordinates, parameters
+from difffric.coordinates import Layout, layout
+from difffric.data_checks import checked_data
 from difffric.errors import InputError, NumericalError
-from difffric.observables import observe
+from difffric.fit_data import (
+    RECORDINGS,
+    FitData,
+    sensor_errors,
+    slides_data,
+    strokes_of,
+    table_data,
+    traces_data,
+)
+from difffric.fitted import Fit
+from difffric.push import Integrator, default_integrator
 from difffric.pushes import Pushes
+from difffric.recordings import Recordings
+from difffric.reduction import Reduction, reduce_recordings
 from difffric.rig import Rig
-from difffric.setup_file import checked
+from difffric.settling import (
+    ROUNDS,
+    Model,
+    Settled,
+    descend,
+    first_point,
+    linear_at,
+    moved,
+    settle,
+    start_offsets,
+    unstuck,
+)
+from difffric.setup_file import Setup, checked
 
-FREE = ("k_N_per_m", "b_N_s_per_m", "k_v_N_s_per_m")
-"""What a calibration with known mu_s determines by default."""
+FREE = ("k_N_per_m", "b_N_s_per_m", "k_v_N_s_per_m", "mu_s")
+"""What a calibration determines by default; mu_s only where no gauge says it."""
 
-_FACTORS = (1 / 3, 1.0, 3.0)
-_STEPS, _ROUNDS = 100, 20
-_ARRIVED = 1e-6
-"""A fit has arrived where less than this is left to gain in chi-square."""
+_FACTORS = {"k_N_per_m": 3.0, "b_N_s_per_m": 3.0, "mu_s": 2.0}
+"""How far off a rough guess may be: a fit starts there too."""
+_SCATTER = 0.03
+"""Where the scatter's estimate starts."""
+_REFINED = 3
+"""How many different ends of the first search are followed to the end."""
+_FIRST_STEPS = 25
+"""Steps of the first search from each start."""
+_LOOSE = 1e-5
+"""How far a distance may be off [m] where it only leads to a start."""
+_WORTH = 5.0
+"""Ends whose chi-square is this many times the best one's are not followed."""
+_ALIKE = 1e-2
+"""Ends of the first search whose chi-squares differ by less than this are one."""
+_FITS = 1.5
+"""A reduced chi-square above this makes a fit of recordings try its other starts too."""
 
-_MAY_VANISH = ("b_N_s_per_m", "k_v_N_s_per_m")
-_NOTHING = 1e-3
-"""A parameter whose e-fold change moves no residual by more than this many spreads is gone."""
-_UNDETERMINED = 1e12
-"""Variance of the logarithm along what is not determined at all."""
 
-_UNKNOWN = 1.0
-"""A standard error of the logarithm above this says that the data do not determine the value."""
-
-
-@dataclass(frozen=True)
-class Fit:
-    """A calibrated rig, with what the data say of each parameter.
-
-    `covariance` is that of the logarithms of the free parameters. It holds for the spreads
-    `spread_force` [N] and `spread_distance` [m], which are estimated from the residuals, so
-    that the reduced chi-square is 1 by construction, unless standard errors were given.
-    A spread that was not estimated is NaN.
-    """
-
-    rig: Rig
-    free: tuple[str, ...]
-    vanished: tuple[str, ...]
-    """free parameters that went to their lower bound, zero; their covariance is zero"""
-    covariance: NDArray
-    spread_force: float
-    spread_distance: float
-    reduced_chi2: float
-    converged: bool
-    starts_at_optimum: tuple[int, int]
-    """starts that reached the optimum, of how many"""
-    peak_force: NDArray
-    """the calibrated model's F_p [N]"""
-    sliding_distance: NDArray
-    """the calibrated model's d [m], NaN where it does not exist"""
-
-    def value(self, name: str) -> float:
-        """A parameter's value [SI]."""
-        return float(parameters.values(self.rig)[name])
-
-    def standard_error(self, name: str) -> float | None:
-        """A free parameter's standard error [SI]; None at its bound."""
-        if name in self.vanished:
-            return None
-        i = self.free.index(name)
-        return self.value(name) * float(np.sqrt(self.covariance[i, i]))
-
-    @property
-    def correlation(self) -> NDArray:
-        """Correlations of the free parameters; 0 for one at its bound."""
-        s = np.sqrt(np.diag(self.covariance))
-        s = np.where(s > 0, s, np.inf)
-        return self.covariance / np.outer(s, s) + np.diag(np.isinf(s).astype(float))
-
-    @property
-    def not_identifiable(self) -> list[dict]:
-        """Free parameters that these data do not determine, with the reason."""
-        out = []
-        for i, name in enumerate(self.free):
-            if name in self.vanished:
-                out.append({"parameters": [name], "reason": "at its lower bound, zero"})
-                continue
-            relative = float(np.sqrt(self.covariance[i, i]))
-            if not relative < _UNKNOWN:
-                factor = np.exp(min(relative, 50.0))
-                reason = f"flat: one standard error is a factor of {factor:.3g}"
-                out.append({"parameters": [name], "reason": reason})
-        return out
-
-    def as_dict(self) -> dict:
-        """The calibration as `result.json` holds it."""
-        correlation = self.correlation
-        return {
-            "parameters": {
-                name: {"value": self.value(name), "standard_error": self.standard_error(name)}
-                for name in self.free
-            },
-            "correlation": {
-                a: {b: float(correlation[i, j]) for j, b in enumerate(self.free) if j > i}
-                for i, a in enumerate(self.free[:-1])
-            },
-            "not_identifiable": self.not_identifiable,
-            "reduced_chi2": self.reduced_chi2,
-            "converged": self.converged,
-            "spread_peak_force_N": self.spread_force,
-            "spread_sliding_distance_m": self.spread_distance,
-        }
+def _silent(what: str, share: float) -> None:
+    """Progress that nobody asked for."""
 
 
 def rigs_of(rig: Rig, pushes: Pushes) -> Rig:
@@ -121,188 +74,384 @@ def rigs_of(rig: Rig, pushes: Pushes) -> Rig:
     rigs = parameters.spread(rig, len(pushes))
     mass = jnp.where(jnp.isnan(pushes.mass), rigs.mass, pushes.mass)
     rigs = parameters.with_values(rigs, {"mass_kg": mass})
-    if not np.isnan(pushes.stroke).all():
-        default = jnp.inf if rigs.pusher.stroke is None else rigs.pusher.stroke
-        stroke = jnp.where(jnp.isnan(pushes.stroke), default, pushes.stroke)
-        rigs = parameters.with_stroke(rigs, stroke)
-    return rigs
-
-
-def _predict(rigs, velocity, free, log_values, active, integrator):
-    """(F_p, d) of all pushes with the free parameters at exp(log_values), or gone."""
-
-    def one(rig, velocity):
-        new = {n: jnp.where(active[i], jnp.exp(log_values[i]), 0.0) for i, n in enumerate(free)}
-        seen = observe(parameters.with_values(rig, new), velocity, integrator)
-        return seen.peak_force, seen.sliding_distance
-
-    return jax.vmap(one)(rigs, velocity)
-
-
-def _residuals(rigs, velocity, measured, spreads, free, active, log_values, integrator):
-    """(measured - model) / spread, forces first, 0 where nothing was measured; and the model."""
-    F, d = _predict(rigs, velocity, free, log_values, active, integrator)
-    # Where the model's part never leaves the tip it slides no distance: d counts as 0.
-    both = jnp.stack([F, jnp.where(jnp.isnan(d), 0.0, d)])
-    r = (measured - both) / spreads
-    return jnp.where(jnp.isnan(measured), 0.0, r).ravel(), (F, d)
-
-
-@eqx.filter_jit
-def _descend(rigs, velocity, measured, spreads, free, active, starts, integrator):
-    """Levenberg-Marquardt from every start at once: where each ends. Which parameters are active
-    is a run-time choice: one program serves all."""
-
-    def residuals(log_values, _):
-        args = (rigs, velocity, measured, spreads, free, active, log_values, integrator)
-        return _residuals(*args)[0]
-
-    def one(start):
-        solution = optx.least_squares(
-            residuals,
-            optx.LevenbergMarquardt(rtol=1e-8, atol=1e-8),
-            start,
-            max_steps=_STEPS,
-            throw=False,
-        )
-        return solution.value
-
-    return jax.lax.map(one, starts)
-
-
-@eqx.filter_jit
-def _linearise(rigs, velocity, measured, spreads, free, active, ends, integrator):
-    """Residuals, their exact Jacobian and the model's (F_p, d) at every end."""
-
-    def residuals(log_values):
-        args = (rigs, velocity, measured, spreads, free, active, log_values, integrator)
-        r, model = _residuals(*args)
-        return r, (r, *model)
-
-    jacobian, (r, F, d) = jax.lax.map(jax.jacfwd(residuals, has_aux=True), ends)
-    return r, jacobian, F, d
+    _, strokes = strokes_of(rig, pushes.stroke)
+    if rig.pusher.stroke is None and np.isinf(strokes).all():
+        return rigs
+    return parameters.with_stroke(rigs, jnp.asarray(strokes))
 
 
 def fit(
-    rig: Rig,
-    pushes: Pushes,
+    rig: Rig | Setup,
+    data: Pushes | Recordings,
     *,
-    free: Sequence[str] = FREE,
+    free: Sequence[str] | None = None,
+    per_condition: Sequence[str] = ("mu_s",),
+    priors: bool = False,
+    free_start: bool = False,
+    robust: bool = False,
     several_starts: bool = True,
-    integrator=None,
+    use_data_mass: bool = False,
+    skip_bad: bool = False,
+    tell: Callable[[str, float], None] = _silent,
+    integrator: Integrator | None = None,
 ) -> Fit:
-    """Calibrate the free parameters of a rig on pushes whose mu_s is known (`mu_s_gauge`).
+    """Calibrate a rig on measured pushes: a table, whole recordings, or free slides.
 
-    Least squares in log-parameters by optimistix's Levenberg-Marquardt on exact forward-mode
-    Jacobians, from the rig's values and (`several_starts`) factors of 3 about k and b. Where no
-    standard errors are given, the spreads of F_p and of d are estimated with the rest
-    (restricted maximum likelihood: each squared sum over its own degrees of freedom, repeated
-    until it stands).
+    `free` parameters are by name, shared by all pushes or (`per_condition`) one for each
+    condition; by default k, b, k_v and mu_s, and what the set-up's tables say. mu_s of each
+    push scatters about its condition's, and the scatter is estimated with the rest (restricted
+    maximum likelihood). Where every push says its `mu_s_gauge` that is its mu_s, and there is
+    neither a scatter nor a free mu_s. Where no standard errors are known, the spreads of F_p
+    and d are estimated too.
 
-    Raises `InputError` without a gauge or with fewer measurements than free parameters, and
+    `priors` takes the set-up's standard errors as knowledge from other data; its bounds always
+    hold. `free_start` gives each recorded push a start offset of its own; `robust` lets
+    outliers of a table weigh less (Huber); `tell(what, share done)` hears of the progress.
+
+    Raises `InputError` for data that cannot be used (see `data_checks`), for fewer
+    measurements than free parameters and for parameters that are unknown or said by the data;
     `NumericalError` where no start gives a finite misfit.
     """
-    checked(rig)
-    free = tuple(free)
-    known = [name for name in parameters.names(rig) if name != "mu_s"]
-    if not free or not set(free) <= set(known):
-        raise InputError(f"fit: free must be some of {', '.join(known)}; got {', '.join(free)}")
-    if np.isnan(pushes.mu_s_gauge).any():
-        raise InputError("fit: mu_s_gauge is missing in at least one push; it is needed here")
-    rigs = rigs_of(rig, pushes)
-    rigs = parameters.with_values(rigs, {"mu_s": jnp.asarray(pushes.mu_s_gauge)})
-    measured = np.stack([pushes.peak_force, pushes.sliding_distance])
-    given = np.stack([pushes.peak_force_se, pushes.sliding_distance_se])
-    present = np.isfinite(measured)
-    if present.sum() <= len(free):
-        raise InputError(f"fit: {present.sum()} measurements cannot determine {len(free)} values")
-    velocity = jnp.asarray(pushes.velocity)
-    values = parameters.values(rig)
-    centre = np.log([max(float(values[name]), 1e-3) for name in free])
-    starts = _starts(free, centre) if several_starts else jnp.asarray(centre)[None]
+    setup = rig if isinstance(rig, Setup) else Setup(rig)
+    rig = checked(setup.rig)
+    if isinstance(data, Recordings):
+        data = checked_data(data, rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
+    else:
+        data = checked_data(data, rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
+    integrator = integrator or default_integrator(rig)
+    if isinstance(data, Recordings):
+        tell("reducing the recordings", 0.0)
+        reduction = reduce_recordings(data, skip_bad=skip_bad)
+        return _Task(
+            setup, reduction.pushes, reduction, free, per_condition, priors, free_start, robust,
+            several_starts, tell, integrator,
+        ).recordings()  # fmt: skip
+    if free_start:
+        raise InputError("free_start: only recordings have a start offset; these data are a table")
+    return _Task(
+        setup, data, None, free, per_condition, priors, False, robust, several_starts, tell,
+        integrator,
+    ).table()  # fmt: skip
 
-    spread = [np.std(row[p]) if p.any() else 1.0 for row, p in zip(measured, present, strict=True)]
-    spread = np.maximum(0.05 * np.array(spread), 1e-12)
-    estimated = present & np.isnan(given)
-    active, every, settled = np.ones(len(free), bool), True, False
-    for _ in range(_ROUNDS):
-        # All starts at once, then the best one only (in the same program) while the spreads
-        # settle, and all of them again to see how many arrive.
-        starting = starts if every else jnp.broadcast_to(best_end, starts.shape)
-        spreads = np.where(np.isnan(given), spread[:, None], given)
-        problem = (rigs, velocity, measured, spreads, free, active)
-        ends = np.asarray(_descend(*problem, starting, integrator))
-        r, jacobian, F, d = map(np.asarray, _linearise(*problem, ends, integrator))
-        chi2 = np.sum(r**2, axis=1)
-        if not np.isfinite(chi2).any():
+
+class _Task:
+    """One call of `fit`: what was asked for, and the steps to the answer."""
+
+    def __init__(
+        self, setup, pushes, reduction, free, per_condition, priors, free_start, robust,
+        several_starts, tell, integrator,
+    ):  # fmt: skip
+        self.setup, self.pushes, self.tell = setup, pushes, tell
+        self.reduction: Reduction | None = reduction
+        self.several_starts, self.free_start = several_starts, free_start
+        self.notes: list[str] = []
+        known = not np.isnan(pushes.mu_s_gauge).any()
+        if not known and np.isfinite(pushes.mu_s_gauge).any():
+            self.notes.append("mu_s_gauge is not given for every push: it is not used")
+        names = self._free(free, known)
+        given = {"mass_kg": pushes.mass}
+        if known and "mu_s" not in names:
+            given["mu_s"] = pushes.mu_s_gauge
+        bounds = {k: (x.lower, x.upper) for k, x in setup.extras.items()}
+        errors = {k: x.standard_error for k, x in setup.extras.items() if x.standard_error}
+        self.layout: Layout = layout(
+            setup.rig, names, per_condition, pushes.condition, given, bounds,
+            errors if priors else {},
+        )  # fmt: skip
+        scatter, estimate = self._scatter("mu_s" in names)
+        self.model = Model(
+            rig=setup.rig,
+            integrator=integrator,
+            layout=self.layout,
+            scatter=scatter,
+            estimate_scatter=estimate,
+            robust=robust,
+        )
+
+    def _free(self, free, gauged: bool) -> tuple[str, ...]:
+        """The names of the free parameters."""
+        if free is not None:
+            chosen = tuple(dict.fromkeys(free))
+            if not chosen:
+                known = ", ".join(parameters.names(self.setup.rig))
+                raise InputError(f"free: expected some of {known}; got nothing")
+            return chosen
+        known = parameters.names(self.setup.rig)
+        said = {k: x.free for k, x in self.setup.extras.items() if k in known}
+        names = [x for x in FREE if said.get(x) is not False and x in known]
+        names += [k for k, yes in said.items() if yes and k not in names]
+        if gauged:
+            names = [x for x in names if x != "mu_s"]
+        if self.pushes.free_slides:
+            names = [x for x in names if x not in ("k_N_per_m", "b_N_s_per_m")]
+        return tuple(names)
+
+    def _scatter(self, mu_free: bool) -> tuple[float, bool]:
+        """The scatter where it starts or stands, and whether it is to be estimated."""
+        said = self.setup.mu_s_scatter
+        extras = self.setup.extras.get("friction.mu_s_scatter")
+        if not mu_free:
+            return 0.0, False
+        if extras is not None and extras.free is False:
+            return said or 0.0, False
+        columns = sum(name == "mu_s" for name in self.layout.names)
+        if len(self.pushes) < columns + 2:
+            self.notes.append(
+                "too few pushes to estimate the scatter of mu_s: "
+                + (f"the set-up's {said:g} is taken" if said else "none is assumed")
+            )
+            return said or 0.0, False
+        return said or _SCATTER, True
+
+    def table(self) -> Fit:
+        """The fit of a table, or of free slides."""
+        rig, pushes = self.setup.rig, self.pushes
+        if pushes.free_slides:
+            data = slides_data(rig, pushes, sensor_errors(rig)[1])
+        else:
+            rig, data = table_data(rig, pushes, sensor_errors(rig))
+        self._enough(data)
+        self.model = replace(self.model, rig=rig)
+        best, reached = self._search(data)
+        self.tell("done", 1.0)
+        return self._fit(data, best[0], reached)
+
+    def _enough(self, data: FitData) -> None:
+        if data.samples <= self.layout.n_free:
+            raise InputError(
+                f"fit: {data.samples} measurements cannot determine {self.layout.n_free} values"
+            )
+
+    def recordings(self) -> Fit:
+        """The fit of whole recordings, from where their peaks and distances lead."""
+        assert self.reduction is not None
+        rig, recordings = self.setup.rig, self.reduction.recordings
+        try:
+            self.model = replace(self.model, rig=strokes_of(rig, self.pushes.stroke)[0])
+            _, data = table_data(rig, self.pushes, sensor_errors(rig))
+            # Peaks and distances only lead to where the samples decide.
+            loose = np.hypot(1.0 / np.maximum(data.rough, 1e-300), [0.0, _LOOSE])
+            data = replace(data, rough=np.where(data.rough > 0, 1.0 / loose, 0.0))
+            ends = self._first_search(data)
+            starts: list[Settled | None] = [at for _, at, _ in ends[:_REFINED]]
+            reached = (ends[0][2], sum(count for *_, count in ends))
+        except (InputError, NumericalError):
+            starts, reached = [], (0, 0)
+        self.model = replace(self.model, free_start=self.free_start)
+        starts.append(None)
+        best: tuple[FitData, Settled] | None = None
+        for i, start in enumerate(starts):
+            self.tell("fitting every sample", 0.5 + 0.4 * i / len(starts))
+            try:
+                found = self._follow(recordings, start)
+            except NumericalError:
+                continue
+            if best is None or found[1].components.chi2 < best[1].components.chi2:
+                best = found
+            data, at = best
+            if at.components.chi2 < _FITS * data.samples:
+                break
+        if best is None:
             raise NumericalError("fit: no start gives a finite misfit")
-        best = int(np.nanargmin(chi2))
-        best_end, r, jacobian = jnp.asarray(ends[best]), r[best], jacobian[best]
-        gone = _gone(free, jacobian) & active
-        new = _spreads(r, jacobian, present, spreads, spread, given)
-        settled = np.allclose(new, spread, rtol=1e-5) and not gone.any()
-        if settled and every:
-            break
-        active, every, spread = active & ~gone, settled, new
+        self.tell("done", 1.0)
+        return self._fit(*best, reached)
 
-    fitted = np.where(active, np.exp(np.asarray(best_end)), 0.0)
-    reached = int(np.sum(np.abs(chi2 - chi2[best]) < 1e-6 * max(chi2[best], 1.0)))
-    covariance = np.zeros((len(free), len(free)))
-    covariance[np.ix_(active, active)] = _inverse(jacobian[:, active].T @ jacobian[:, active])
-    return Fit(
-        rig=parameters.with_values(rig, dict(zip(free, fitted.tolist(), strict=True))),
-        free=free,
-        vanished=tuple(name for name, on in zip(free, active, strict=True) if not on),
-        covariance=covariance,
-        spread_force=float(spread[0]) if estimated[0].any() else np.nan,
-        spread_distance=float(spread[1]) if estimated[1].any() else np.nan,
-        reduced_chi2=float(chi2[best] / (present.sum() - active.sum())),
-        converged=_still_to_gain(r, jacobian) < _ARRIVED and settled,
-        starts_at_optimum=(reached, len(chi2)),
-        peak_force=F[best],
-        sliding_distance=d[best],
-    )
+    def _follow(self, recordings: Recordings, start: Settled | None) -> tuple[FitData, Settled]:
+        """Fit the samples, leaving out those beside the jumps of the model as it stands."""
+        assert self.reduction is not None
+        theta = self.layout.start if start is None else start.theta
+        rig, details = self.setup.rig, self.reduction.details
+        value = self.layout.value(theta)
+        stiffest = max(
+            [parameters.values(rig)["k_N_per_m"], *(v for x, v in value.items() if x[0] == "k")]
+        )
+        lightest = np.nanmin([float(rig.mass), *self.pushes.mass])
+        fastest = float(np.sqrt(2 * stiffest / lightest))
+        K = len(coordinates.names(rig))
+        guard = 2e-5 if self.free_start else 0.0
+        jumps, at, rounds = None, start, ROUNDS
+        while True:
+            rig_, data = traces_data(rig, recordings, details, fastest, K, jumps, guard)
+            model = replace(self.model, rig=rig_)
+            fresh = first_point(model, data, theta)
+            if at is None:
+                at = fresh
+            elif jumps is None:
+                at = replace(fresh, s_eta=at.s_eta)
+            at = settle(model, data, at, trust=1e3, rounds=rounds)
+            new = np.asarray(at.end.jumps)[: data.n]
+            if rounds <= 4 or (jumps is not None and _same(jumps, new)):
+                break
+            jumps, rounds = new, rounds // 2
+        self.model = model
+        return data, at
+
+    def _first_search(self, data: FitData) -> list[tuple[float, Settled, int]]:
+        """Where the starts lead with some per cent of tolerance: the different ends, the best
+        first, each with its chi-square and how many starts lead to it."""
+        model = self.model
+        starts = self._starts()
+        rough = replace(data, weights=data.rough, group=np.full(data.group.shape, -1))
+        ends: list[tuple[float, Settled]] = []
+        for i, theta in enumerate(starts):
+            self.tell(f"start {i + 1} of {len(starts)}", 0.4 * i / len(starts))
+            at = first_point(model, data, theta)
+            scatter = max(model.scatter, 0.05) if model.estimate_scatter else model.scatter
+            end = descend(model, rough, at, at.held, rough.weights, scatter, 1.0, _FIRST_STEPS)
+            if np.isfinite(float(end.chi2)):
+                clipped = moved(at, end, at.held, scatter)
+                inside = np.clip(clipped.theta, self.layout.lower, self.layout.upper)
+                ends.append((float(end.chi2), replace(clipped, theta=inside)))
+        if not ends:
+            raise NumericalError("fit: no start gives a finite misfit")
+        ends.sort(key=lambda x: x[0])
+        distinct: list[tuple[float, Settled, int]] = []
+        for chi2, at in ends:
+            if distinct and chi2 - distinct[-1][0] < _ALIKE * (1 + chi2):
+                distinct[-1] = (*distinct[-1][:2], distinct[-1][2] + 1)
+            else:
+                distinct.append((chi2, at, 1))
+        return distinct
+
+    def _search(self, data: FitData) -> tuple[list[Settled], tuple[int, int]]:
+        """Settled fits from several starts, the best first, and how many starts lead to it."""
+        model = self.model
+        distinct = self._first_search(data)
+        settled: list[tuple[float, Settled, int]] = []
+        worth = _WORTH * (distinct[0][0] + data.samples)
+        for i, (chi2, at, count) in enumerate(distinct[:_REFINED]):
+            if chi2 > worth:
+                break
+            self.tell("settling", 0.4 + 0.03 * i)
+            try:
+                done = settle(model, data, replace(at, scatter=max(at.scatter, model.scatter)))
+                other = unstuck(model, data, done)
+                if other is not done:
+                    again = settle(model, data, other)
+                    done = min(done, again, key=lambda x: x.components.criterion)
+            except NumericalError:
+                continue
+            settled.append((done.components.criterion, done, count))
+        if not settled:
+            raise NumericalError("fit: the misfit is not finite wherever the search led")
+        settled.sort(key=lambda x: x[0])
+        best = settled[0][0]
+        reached = sum(count for c, _, count in settled if c - best < _ALIKE)
+        return [at for _, at, _ in settled], (reached, sum(n for *_, n in distinct))
+
+    def _starts(self) -> list[NDArray]:
+        """The set-up's own values, and a grid about its stiffness, damping and friction."""
+        own = np.clip(self.layout.start, self.layout.lower, self.layout.upper)
+        if not self.several_starts:
+            return [own]
+        names = self.layout.names
+        axes = []
+        for name, factor in _FACTORS.items():
+            shift = np.array([x == name for x in names], float) * np.log(factor)
+            if shift.any():
+                axes.append([s * shift for s in (-1, 0, 1)])
+        grid = [own + sum(shifts) for shifts in product(*axes)]
+        inside = [np.clip(x, self.layout.lower, self.layout.upper) for x in grid]
+        return [own, *(x for x in inside if not np.array_equal(x, own))]
+
+    def _fit(self, data: FitData, at: Settled, reached) -> Fit:
+        """The result."""
+        model, pushes, n = self.model, self.pushes, data.n
+        layout, c = self.layout, at.components
+        names = layout.names
+        spread = dict(zip(data.groups, c.spreads.tolist(), strict=True))
+        log_mu = (layout.fixed + layout.selection @ at.theta)[:, 0] + at.s_eta
+        found = layout.value(at.theta)
+        new = {
+            name: float(
+                np.mean([v for v, x in zip(found.values(), names, strict=True) if x == name])
+            )
+            for name in names
+        }
+        for label, held in zip(layout.labels, at.held, strict=True):
+            if held and label == "b_N_s_per_m" and at.theta[layout.labels.index(label)] <= -7.0:
+                new["b_N_s_per_m"] = 0.0
+        noise = {}
+        if self.reduction is not None:
+            noise = _noise(self.reduction)
+        F, d = np.asarray(at.end.model)[:n].T
+        fitted_numbers = int(np.sum(~at.held)) + (n if model.free_start else 0)
+        offsets = n if data.kind == RECORDINGS else 0
+        chi2 = c.chi2
+        notes = list(self.notes)
+        if not at.smooth:
+            notes.append(
+                "the optimum lies at a change of regime of one push or more, where derivatives "
+                "jump: error bars hold for one side of it"
+            )
+        freedom = data.samples - fitted_numbers - offsets
+        if freedom > 0 and len(data.groups) == 0:
+            p = float(stats.chi2.sf(chi2, freedom))
+            if p < 1e-3:
+                notes.append(
+                    f"chi-square is {chi2 / freedom:.3g} times what the noise explains: the model "
+                    "lacks something, the noise is larger than said, or this is not the optimum"
+                )
+        return Fit(
+            rig=parameters.with_values(self.setup.rig, new),
+            kind=data.kind,
+            free=layout.labels,
+            names=names,
+            theta=at.theta,
+            held=tuple(x for x, on in zip(layout.labels, at.held, strict=True) if on),
+            covariance=c.covariance,
+            freedom=c.freedom,
+            scatter=at.scatter,
+            scatter_se=float(c.relative_errors[0] * at.scatter) if at.scatter else np.nan,
+            spread_force=spread.get("force", np.nan),
+            spread_distance=spread.get("distance", np.nan),
+            chi2=chi2,
+            degrees_of_freedom=freedom,
+            converged=at.settled,
+            starts_at_optimum=reached,
+            conditions=tuple(pushes.condition),
+            mu_s=np.exp(log_mu),
+            mu_s_se=np.exp(log_mu) * _own_errors(model, data, at),
+            start=start_offsets(at, n),
+            peak_force=F,
+            sliding_distance=d,
+            noise=noise,
+            samples=data.samples,
+            left_out=data.left_out,
+            notes=tuple(notes),
+            skipped=pushes.skipped,
+            setup=self.setup,
+            work=(model, data, at),
+        )
 
 
-def _still_to_gain(r, jacobian):
-    """The drop of chi-square that one more Gauss-Newton step predicts."""
-    gradient = jacobian.T @ r
-    return float(gradient @ _inverse(jacobian.T @ jacobian) @ gradient)
+def _same(old: NDArray, new: NDArray) -> bool:
+    return old.shape == new.shape and bool(np.allclose(old, new, atol=2e-6, rtol=0))
 
 
-def _gone(free, jacobian):
-    """Which parameters have run towards zero so far that the data no longer feel them."""
-    unfelt = np.abs(jacobian).max(axis=0) < _NOTHING
-    return unfelt & np.array([name in _MAY_VANISH for name in free])
+def _noise(reduction: Reduction) -> dict[str, dict[str, float]]:
+    """Level and correlation of the channels' noise, of the first push that has them."""
+    out = {}
+    for name in ("force", "position"):
+        known = [getattr(x, f"noise_{name}") for x in reduction.details]
+        known = [x for x in known if x is not None]
+        if known:
+            out[name] = {
+                "standard_deviation": float(np.median([x.level for x in known])),
+                "correlation": float(np.median([x.correlation for x in known])),
+            }
+    return out
 
 
-def _starts(free, centre):
-    """The rig's own values, and factors of 3 about its stiffness and damping."""
-    grid = [centre]
-    for name in ("k_N_per_m", "b_N_s_per_m"):
-        if name in free:
-            shift = np.eye(len(free))[free.index(name)]
-            grid = [g + np.log(f) * shift for g in grid for f in _FACTORS]
-    return jnp.asarray(np.stack([centre, *grid]))
-
-
-def _spreads(r, jacobian, present, spreads, spread, given):
-    """New spreads of F_p and d: squared residuals over the degrees of freedom they keep."""
-    leverage = np.einsum("ij,jk,ik->i", jacobian, _inverse(jacobian.T @ jacobian), jacobian)
-    misfit = (r.reshape(spreads.shape) * spreads) ** 2
-    leverage = leverage.reshape(spreads.shape)
-    new = spread.copy()
-    for i in range(2):
-        use = present[i] & np.isnan(given[i])
-        if use.any():
-            freedom = max(use.sum() - leverage[i][use].sum(), 1.0)
-            new[i] = np.sqrt(misfit[i][use].sum() / freedom)
-    return np.maximum(new, 1e-12)
-
-
-def _inverse(information):
-    """Inverse information, with a huge variance along what is not determined at all."""
-    values, vectors = np.linalg.eigh(information)
-    known = values > 1e-12 * values.max()
-    inverse = np.where(known, 1.0 / np.where(known, values, 1.0), _UNDETERMINED)
-    return (vectors * inverse) @ vectors.T
+def _own_errors(model: Model, data: FitData, at: Settled) -> NDArray:
+    """Relative standard error of each push's own mu_s (n,), that of the shared parameters
+    carried through."""
+    P = model.layout.n_free
+    L = linear_at(model, data, at)
+    G = L.known + np.einsum("gnij,g->nij", L.groups, 1.0 / at.components.spreads**2)
+    column = G[:, :, P]
+    on = G[:, P, P] > 0
+    G = G - np.einsum("ni,nj->nij", column, column / np.where(on, G[:, P, P], 1.0)[:, None])
+    own = at.scatter**2 / (1 + at.scatter**2 * np.maximum(G[:, P + 1, P + 1], 0))
+    J = (model.layout.selection * ~at.held)[:, 0] - own[:, None] * G[:, P + 1, :P]
+    return np.sqrt(own + np.einsum("np,pq,nq->n", J, at.components.covariance, J))

@@ -145,6 +145,51 @@ def simulate(
 
 
 @app.command()
+def acquire(
+    simulate: Annotated[Path | None, typer.Option(help="a setup.toml to push, no card")] = None,
+    velocity_mm_min: Annotated[
+        list[float] | None, typer.Option(help="pusher speed [mm/min], once a push")
+    ] = None,
+    stroke_mm: Annotated[float | None, typer.Option(help="instead of the set-up's")] = None,
+    rate_hz: Annotated[float | None, typer.Option(help="simulated: samples a second")] = None,
+    seed: Annotated[int, typer.Option(help="simulated: of noise and scatter", min=0)] = 0,
+    bitfile: Annotated[Path | None, typer.Option(help="of the card, .lvbitx")] = None,
+    resource: Annotated[str, typer.Option(help="the card's name")] = "RIO0",
+    out: Out = None,
+    quiet: Quiet = False,
+) -> None:
+    """Record pushes into pushes.tdms, in --out or here: from the card, or simulated."""
+    _check_out(out)
+    for v in velocity_mm_min or ():
+        _positive("--velocity-mm-min", v)
+    _positive("--rate-hz", rate_hz)
+    _positive("--stroke-mm", stroke_mm)
+    from difffric import answer_acquire as answers
+    from difffric.acquire import acquire as record
+    from difffric.card import METRES_PER_COUNT, open_card
+    from difffric.setup_file import read_setup
+    from difffric.units import from_mm
+
+    stroke = None if stroke_mm is None else from_mm(stroke_mm)
+    truth, mass, resolution = [], float("nan"), METRES_PER_COUNT
+    if simulate is None:
+        card = open_card(bitfile, resource)
+    else:
+        setup = read_setup(simulate)
+        stroke = setup.rig.pusher.stroke if stroke is None else stroke
+        mass, resolution = float(setup.rig.mass), setup.rig.probe.resolution
+        card, truth = answers.simulated_card(setup, rate_hz, seed)
+    pushes = answers.commands(velocity_mm_min or (), stroke=stroke, mass=mass)
+    file = (out or Path()) / "pushes.tdms"
+    with card as session, _progress(quiet) as tell:
+        found = record(session, pushes, file, tell=tell, resolution=float(resolution))
+    note = answers.NO_STROKE if stroke is None else None
+    seeded = None if simulate is None else seed
+    answer = answers.acquire_answer(found, file.name, truth=truth, seed=seeded, stroke=note)
+    _finish(answers.acquire_report(answer), answer, out)
+
+
+@app.command()
 def family(setup: Setup, out: Out = None, quiet: Quiet = False) -> None:
     """The curve families over speed and mu_s, the fits (3) and (5), their inverses (4), (6)."""
     _check_out(out)

@@ -12,8 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from difffric import parameters
-from difffric.calibration import Fit, rigs_of
+from difffric.calibration import rigs_of
 from difffric.families import family
+from difffric.fit_data import sensor_errors
+from difffric.fitted import Fit
 from difffric.inversion import BRACKET, Inversion, invert
 from difffric.observables import observe
 from difffric.parameters import pick
@@ -72,18 +74,6 @@ class PushFriction:
             "disagreement_in_standard_deviations": self.disagreement,
             "reason": self.reason,
         }
-
-
-def sensor_errors(rig: Rig) -> tuple[float | None, float | None]:
-    """Standard errors of F_p [N] and d [m] that the rig's sensors alone explain.
-
-    d is the difference of two readings, each with its noise and its quantum. None where a
-    sensor's noise is not known.
-    """
-    F, probe = rig.force_sensor.noise, rig.probe
-    if probe.noise is None:
-        return F, None
-    return F, float(np.sqrt(2 * (probe.noise**2 + probe.resolution**2 / 12)))
 
 
 def identify(

@@ -80,13 +80,6 @@ class State(NamedTuple):
         return at_rest | self.endless | too_long
 
 
-def _diffrax():
-    # Imported only where it is needed: it costs a good part of a command's start.
-    from difffric.integrate import Diffrax
-
-    return Diffrax()
-
-
 def _select(condition, new, old):
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)
 
@@ -103,6 +96,16 @@ class Integrator(Protocol):
     def free_state(self, rig: Rig, u, t) -> tuple[Array, Array]: ...
 
 
+def default_integrator(rig: Rig) -> Integrator:
+    """The integrator that serves the rig."""
+    if rig.affine:
+        return ClosedForm()
+    # Imported only where it is needed: it costs a good part of a command's start.
+    from difffric.integrate import Diffrax
+
+    return Diffrax()
+
+
 class Push(NamedTuple):
     """A rig, a speed [m/s] and an integrator: what one push is made of."""
 
@@ -115,7 +118,7 @@ class Push(NamedTuple):
         """A push at `velocity` [m/s], by the integrator that serves the rig unless given."""
         require_float64()
         if integrator is None:
-            integrator = ClosedForm() if rig.affine else _diffrax()
+            integrator = default_integrator(rig)
         integrator.check(rig)
         return cls(rig, velocity, integrator)
 
@@ -247,13 +250,14 @@ class Push(NamedTuple):
             return self.cycle(self.start())[0]
         return jax.lax.while_loop(lambda s: ~s.over, lambda s: self.cycle(s)[0], self.start())
 
-    def segments(self) -> tuple[State, Segment]:
-        """Follow the push to its end; also all segments, stacked and padded with t = inf."""
+    def segments(self, cycles: int = MAX_CYCLES) -> tuple[State, Segment]:
+        """Follow the push to its end, or for so many cycles at most; also all segments, stacked
+        and padded with t = inf."""
         if self.once:
             state, starts = self.cycle(self.start())
             return state, jax.tree.map(lambda *rows: jnp.stack(rows), *starts)
         start = self.start()
-        rows = 4 * MAX_CYCLES + 1
+        rows = 4 * cycles + 1
         table = jax.tree.map(lambda a: jnp.zeros(rows, a.dtype).at[0].set(a), start.segment)
         table = table._replace(t=table.t.at[1:].set(jnp.inf))
 
@@ -267,4 +271,7 @@ class Push(NamedTuple):
 
             return after, jax.tree.map(write, table, new)
 
-        return jax.lax.while_loop(lambda c: ~c[0].over, follow, (start, table))
+        def goes_on(carry):
+            return ~carry[0].over & (carry[0].cycles < cycles)
+
+        return jax.lax.while_loop(goes_on, follow, (start, table))

@@ -12,7 +12,17 @@ from jaxtyping import Array, ArrayLike, Float
 from difffric import parameters
 from difffric.errors import InputError
 from difffric.observables import Observables, observables
-from difffric.push import CLOSING, FREE, REASONS, REBOUNDING, REGIMES, Integrator, Push, Segment
+from difffric.push import (
+    CLOSING,
+    FREE,
+    MAX_CYCLES,
+    REASONS,
+    REBOUNDING,
+    REGIMES,
+    Integrator,
+    Push,
+    Segment,
+)
 from difffric.rig import Rig
 from difffric.setup_file import checked
 
@@ -27,9 +37,9 @@ class Trajectory(eqx.Module):
     observables: Observables
 
     @classmethod
-    def of(cls, push: Push) -> Trajectory:
-        """Follow a push."""
-        state, segments = push.segments()
+    def of(cls, push: Push, cycles: int = MAX_CYCLES) -> Trajectory:
+        """Follow a push, for so many cycles through the modes at most."""
+        state, segments = push.segments(cycles)
         return cls(push, segments, observables(push, state))
 
     @property

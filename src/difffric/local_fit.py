@@ -1,0 +1,180 @@
+"""Local polynomials: a value, a slope or an edge read off noisy samples without a model.
+
+A wide window has little noise and much bias. Among all windows around a point, one-sided ones
+included, the one with the least standard error is taken in which higher terms than those fitted
+are not significant; the bias that this leaves is small beside the noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from difffric.noise import Noise, whitening
+from difffric.recordings import Channel
+
+MOST = 400
+"""Points that a stretch keeps: more are averaged in blocks."""
+_PIECE = 1 << 20  # samples in memory at a time
+_LEVELS = (0.3, 0.03, 0.001)  # p-values of the higher terms: strict first, as what passes is bias
+_SHRINK = 0.7  # of the window found: it ends where the higher terms begin to show
+
+
+class Estimate(NamedTuple):
+    """A value at a time, and the standard error of both."""
+
+    value: float
+    se: float
+    time: float
+    time_se: float = np.nan
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Consecutive samples of a channel, or means of blocks of them."""
+
+    t: NDArray
+    """(n,) [s]"""
+    y: NDArray
+    """(n,)"""
+    dt: float
+    noise: Noise
+    block: float = 0.0
+    """what each point is the mean over [s]; 0: a sample"""
+
+    @classmethod
+    def of(cls, channel: Channel, t_0: float, t_1: float, noise: Noise, most=MOST) -> Stretch:
+        """The samples with t_0 <= t < t_1, at most `most` points; read in pieces."""
+        start = channel.start
+        lo, hi = (
+            int(np.clip(np.ceil((t - start) / channel.dt - 1e-9), 0, channel.n)) for t in (t_0, t_1)
+        )
+        size = max(1, -(-(hi - lo) // max(most, 1)))
+        n = max(hi - lo, 0) // size
+        piece = max(1, _PIECE // size)
+        y = np.empty(n)
+        for i in range(0, n, piece):
+            j = min(i + piece, n)
+            y[i:j] = channel.read(lo + i * size, lo + j * size).reshape(-1, size).mean(1)
+        t = start + channel.dt * (lo + (size - 1) / 2 + size * np.arange(n))
+        if size == 1:
+            return cls(t, y, channel.dt, noise)
+        return cls(t, y, size * channel.dt, noise.averaged(size), size * channel.dt)
+
+    def between(self, t_0: float, t_1: float) -> Stretch:
+        """The points with t_0 <= t < t_1."""
+        lo, hi = np.searchsorted(self.t, [t_0, t_1])
+        return replace(self, t=self.t[lo:hi], y=self.y[lo:hi])
+
+
+@dataclass(frozen=True)
+class LocalFit:
+    """Generalised least squares in one window."""
+
+    coefficients: NDArray
+    """(columns,)"""
+    covariance: NDArray
+    """(columns, columns)"""
+    reduced_chi2: float
+    lo: int
+    hi: int
+    """the window: points lo <= i < hi"""
+    passed: float
+    """how well it passes: the least significance level of `_LEVELS` that it holds at, or 0 where
+    higher terms matter; the covariance is then scaled by chi-square"""
+
+    def se(self, i: int = 0) -> float:
+        """Standard error of coefficient i."""
+        return float(np.sqrt(self.covariance[i, i]))
+
+
+def powers(degree: int, start: int = 0) -> Callable[[NDArray], NDArray]:
+    """Columns s^start ... s^degree."""
+    return lambda s: np.vander(s, degree + 1, increasing=True)[:, start:]
+
+
+def fit_window(stretch: Stretch, lo, hi, centre, scale, design, extra=None) -> LocalFit:
+    """Fit the columns `design(s)` of s = (t - centre) / scale to points lo <= i < hi.
+
+    `extra(s)` are the higher terms whose significance decides whether the fit is adequate.
+    """
+    s = (stretch.t[lo:hi] - centre) / scale
+    columns = design(s)
+    p = columns.shape[1]
+    if extra is not None:
+        columns = np.concatenate([columns, extra(s)], axis=1)
+    y = stretch.y[lo:hi]
+    white = whitening(np.arange(lo, hi), stretch.noise)(np.concatenate([columns, y[:, None]], 1))
+    norms = np.sqrt(np.einsum("ij,ij->j", white[:, :-1], white[:, :-1]))
+    norms[norms == 0] = 1.0
+    r: NDArray = np.asarray(
+        np.linalg.qr(np.concatenate([white[:, :-1] / norms, white[:, -1:]], 1), mode="r")
+    )
+    upper, rhs = r[:p, :p], r[:p, -1]
+    firm = np.abs(np.diag(upper)).min(initial=np.inf) > 1e-9
+    inverse = np.linalg.inv(upper) if firm else np.linalg.pinv(upper, rcond=1e-9)
+    q = columns.shape[1]
+    higher, rest = float(r[p:q, -1] @ r[p:q, -1]), float(r[q:, -1] @ r[q:, -1])
+    chi2 = (higher + rest) / max(hi - lo - p, 1)
+    passed = 1.0
+    if extra is not None:
+        free = max(hi - lo - q, 1)
+        p_value = min(chdtrc(q - p, higher), 30 * chdtrc(free, rest))
+        passed = next((level for level in _LEVELS if p_value > level), 0.0)
+    covariance = inverse @ inverse.T / np.outer(norms[:p], norms[:p])
+    if not passed:
+        covariance = covariance * max(1.0, chi2)
+    return LocalFit(inverse @ rhs / norms[:p], covariance, chi2, lo, hi, passed)
+
+
+def sizes(least: int, most: int, ratio: float = 1.45) -> list[int]:
+    """A geometric series of window sizes from `least` to `most`, both included."""
+    found, size = [], float(least)
+    while size < most:
+        found.append(round(size))
+        size = max(size * ratio, size + 1)
+    return [*found, most] if most >= 0 else []
+
+
+def _rank(fit: LocalFit, of: int) -> tuple[float, float]:
+    return fit.passed, -fit.se(of)
+
+
+def best_window(
+    stretch: Stretch,
+    centre: float,
+    scale: float,
+    design,
+    extra,
+    *,
+    left,
+    right,
+    least: int,
+    of=0,
+    keep=(),
+) -> LocalFit | None:
+    """The fit whose coefficient `of` has the least standard error among the adequate ones.
+
+    `left`, `right`: the numbers of points to try on either side of `centre`; `least` points in
+    all. The smallest window where none is adequate; None where there are too few points.
+    `keep`: ends of the stretch (0, its length) at which the window must stay if it reaches them.
+    """
+    i = int(np.searchsorted(stretch.t, centre))
+    windows = {(max(i - a, 0), min(i + b, len(stretch.t))) for a in left for b in right}
+    best = None
+    for lo, hi in sorted(windows, key=lambda w: w[1] - w[0]):
+        if hi - lo < least:
+            continue
+        fit = fit_window(stretch, lo, hi, centre, scale, design, extra)
+        smaller = best is not None and not fit.passed and not best.passed
+        if best is None or (not smaller and _rank(fit, of) > _rank(best, of)):
+            best = fit
+    if best is None or not best.passed:
+        return best
+    lo, hi = (end if end in keep else round(i + _SHRINK * (end - i)) for end in (best.lo, best.hi))
+    return fit_window(stretch, lo, hi, centre, scale, design, extra) if hi - lo >= least else best
