@@ -1,144 +1,237 @@
-"""mu_s of each push: from the force, from the distance, by equation (7), and by the
-statistically optimal combination, each with its standard error.
+"""mu_s of each push: from the force, from the distance, by equation (7), by the statistically
+optimal combination, from the free slide, and from whole recordings, each with its standard error.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
-from difffric import parameters
+from difffric import coordinates, parameters
 from difffric.calibration import rigs_of
+from difffric.coordinates import LINEAR
+from difffric.data_checks import checked_data
+from difffric.estimates import NONE, Estimate, Identified, PushFriction
 from difffric.families import family
 from difffric.fit_data import sensor_errors
 from difffric.fitted import Fit
 from difffric.inversion import BRACKET, Inversion, invert
 from difffric.observables import observe
 from difffric.parameters import pick
-from difffric.push import REGIMES
+from difffric.push import REGIMES, default_integrator
 from difffric.pushes import Pushes
+from difffric.recordings import Recordings
+from difffric.reduction import Reduction, reduce_recordings
 from difffric.rig import Rig
-from difffric.setup_file import checked
+from difffric.setup_file import Setup, checked
+from difffric.slide_friction import slide_friction
 from difffric.surrogate import weighted
+from difffric.trace_friction import trace_friction
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """A value with its standard error; None: it does not exist, or nobody knows."""
+class _Calibration:
+    """What is known of the rig: its values by condition, and how uncertain they are."""
 
-    value: float | None
-    standard_error: float | None = None
+    rig: Rig
+    names: tuple[str, ...]
+    """calibrated parameters, without mu_s"""
+    of: Callable[[str], tuple[Rig, NDArray]]
+    """condition -> rig, covariance of the coordinates of `names`"""
+    spreads: tuple[float, float]
+    """of F_p [N] and d [m], as the calibration found them; NaN: it did not"""
 
-    def as_dict(self) -> dict | None:
-        """As `result.json` holds it."""
-        if self.value is None:
-            return None
-        return {"value": self.value, "standard_error": self.standard_error}
+    @classmethod
+    def read(cls, rig: Rig | Setup | Fit) -> _Calibration:
+        """From a fit its covariance, from a set-up its standard errors (without correlations)."""
+        if isinstance(rig, Fit):
+            fit = rig
+            names = tuple(dict.fromkeys(n for n in fit.names if n != "mu_s"))
 
+            def of_fit(condition: str) -> tuple[Rig, NDArray]:
+                at, columns = fit.for_condition(condition)
+                here = [j for j, n in enumerate(names) if n in columns]
+                found = [columns[names[j]] for j in here]
+                covariance = np.zeros((len(names), len(names)))
+                covariance[np.ix_(here, here)] = fit.covariance[np.ix_(found, found)]
+                return at, covariance
 
-@dataclass(frozen=True)
-class PushFriction:
-    """What one push says of mu_s."""
-
-    velocity: float
-    condition: str
-    regime: str | None
-    mu_s_force: Estimate
-    mu_s_distance: Estimate
-    mu_s_weighted: Estimate
-    mu_s_optimal: Estimate
-    weights: dict[str, float] | None
-    """equation (7)'s, force and distance"""
-    alternatives: tuple[float, ...]
-    """all mu_s in the bracket that give the measured distance, where there are several"""
-    disagreement: float | None
-    """mu_force minus mu_dist in standard deviations of that difference"""
-    reason: str | None
-
-    def as_dict(self) -> dict:
-        """As `result.json` holds it."""
-        return {
-            "velocity_m_per_s": self.velocity,
-            "condition": self.condition,
-            "regime": self.regime,
-            "mu_s_force": self.mu_s_force.as_dict(),
-            "mu_s_distance": self.mu_s_distance.as_dict(),
-            "mu_s_weighted": self.mu_s_weighted.as_dict(),
-            "mu_s_optimal": self.mu_s_optimal.as_dict(),
-            "weights": self.weights,
-            "alternatives": list(self.alternatives),
-            "disagreement_in_standard_deviations": self.disagreement,
-            "reason": self.reason,
+            return cls(fit.rig, names, of_fit, (fit.spread_force, fit.spread_distance))
+        setup = rig if isinstance(rig, Setup) else Setup(rig)
+        values = parameters.values(setup.rig)
+        errors = {
+            name: x.standard_error
+            for name, x in setup.extras.items()
+            if name in values and name != "mu_s" and x.standard_error
         }
+        variance = [(e / coordinates.slope(n, float(values[n]))) ** 2 for n, e in errors.items()]
+        return cls(
+            setup.rig,
+            tuple(errors),
+            lambda condition: (setup.rig, np.diag(variance)),
+            (np.nan, np.nan),
+        )
 
 
 def identify(
-    rig: Rig | Fit,
-    pushes: Pushes,
+    rig: Rig | Setup | Fit,
+    data: Pushes | Recordings,
     *,
     range_ratio: float | None = None,
     bracket=BRACKET,
+    use_data_mass: bool = False,
+    skip_bad: bool = False,
+    tell: Callable[[str, float], None] = lambda what, share: None,
     integrator=None,
-) -> list[PushFriction]:
-    """mu_s of each push, four ways.
+) -> Identified:
+    """mu_s of each push: from F_p, from d, by (7), the optimal combination; from a recording
+    also from all its samples; from a release speed and d also from the free slide alone.
 
     The errors of F_p and d are the pushes' own, else the fit's spreads, else the sensors'
-    noise. Given a `Fit`, its uncertainty is carried through the exact derivatives (it is
-    shared by force and distance, and the optimal combination takes that into account).
+    noise. A `Fit`'s covariance is carried through the exact derivatives (it is shared by force
+    and distance, and the optimal combination takes that into account), of a `Setup` the
+    standard errors that it states, as if they were uncorrelated.
     `range_ratio` is equation (7)'s ratio of the ranges [N/m]; by default over 500-5000 mm/min
-    and mu_s 0.05-0.30 of this rig.
+    and mu_s 0.05-0.30 of this rig. `tell(what, share done)` hears of the progress.
 
     Where several mu_s give the measured d, the one whose F_p is nearest to the measured one is
     taken (without a force, the smallest), and all stand in `alternatives`.
+
+    Raises `InputError` for data that cannot be used with the rig (`data_checks`).
     """
-    calibration = rig if isinstance(rig, Fit) else None
-    if isinstance(rig, Fit):
-        spreads, rig = (rig.spread_force, rig.spread_distance), rig.rig
+    known = _Calibration.read(rig)
+    checked(known.rig)
+    reduction = None
+    if isinstance(data, Recordings):
+        data = checked_data(data, known.rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
+        tell("reducing the recordings", 0.0)
+        reduction = reduce_recordings(data, skip_bad=skip_bad)
+        pushes = reduction.pushes
     else:
-        spreads = (np.nan, np.nan)
+        pushes = checked_data(data, known.rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
+    integrator = integrator or default_integrator(known.rig)
+    of = [known.of(c) for c in pushes.condition]
+    rigs = rigs_of(known.rig, pushes)
+    for name in dict.fromkeys((*known.names, "mu_s")):
+        own = jnp.array([float(parameters.values(r)[name]) for r, _ in of])
+        if name != "mass_kg":
+            rigs = parameters.with_values(rigs, {name: own})
+    covariances = np.stack([c for _, c in of])
+    if pushes.free_slides:
+        answers = [
+            PushFriction(np.nan, c, None, NONE, NONE, NONE, NONE, None, (), None, None)
+            for c in pushes.condition
+        ]
+    else:
+        tell("inverting forces and distances", 0.2)
+        options = {"bracket": bracket, "integrator": integrator}
+        answers = _inverted(known, rigs, pushes, covariances, range_ratio, options)
+    answers = _with_slides(known, rigs, pushes, covariances, answers)
+    if reduction is not None:
+        tell("fitting every sample", 0.6)
+        answers = _with_traces(
+            known, [r for r, _ in of], reduction, covariances, answers, integrator
+        )
+    tell("done", 1.0)
+    return Identified(tuple(answers), pushes.skipped)
+
+
+def _inverted(known, rigs, pushes, covariances, range_ratio, options) -> list[PushFriction]:
+    """Force, distance, (7) and the optimum of every push."""
+    integrator = options["integrator"]
+    if range_ratio is None:
+        range_ratio = family(known.rig, integrator=integrator).range_ratio
+    velocity = pushes.velocity
+    force = invert(rigs, velocity, pushes.peak_force, "peak_force", **options)
+    distance = invert(rigs, velocity, pushes.sliding_distance, "sliding_distance", **options)
+    distance = _supported_by_force(rigs, pushes, distance, integrator)
+    gradients, regimes = _around(rigs, pushes, force, distance, known.names, integrator)
     fallback = [
         sensor if np.isnan(spread) else spread
-        for spread, sensor in zip(spreads, sensor_errors(rig), strict=True)
+        for spread, sensor in zip(known.spreads, sensor_errors(known.rig), strict=True)
     ]
-    checked(rig)
-    if range_ratio is None:
-        range_ratio = family(rig, integrator=integrator).range_ratio
-    rigs = rigs_of(rig, pushes)
-    options = {"bracket": bracket, "integrator": integrator}
-    force = invert(rigs, pushes.velocity, pushes.peak_force, "peak_force", **options)
-    distance = invert(rigs, pushes.velocity, pushes.sliding_distance, "sliding_distance", **options)
-    distance = _supported_by_force(rigs, pushes, distance, integrator)
-    free = calibration.free if calibration else ()
-    gradients, regimes = _around(rigs, pushes, force, distance, free, integrator)
+    own_se = (pushes.peak_force_se, pushes.sliding_distance_se)
     se = [
         np.where(np.isnan(own), np.nan if other is None else other, own)
-        for own, other in zip(
-            (pushes.peak_force_se, pushes.sliding_distance_se), fallback, strict=True
-        )
+        for own, other in zip(own_se, fallback, strict=True)
     ]
     return [
         _combine(
-            pushes, i, force[i], distance[i], (se[0][i], se[1][i]), gradients[i], calibration,
+            pushes, i, force[i], distance[i], (se[0][i], se[1][i]), gradients[i], covariances[i],
             range_ratio, regimes[i],
         )
         for i in range(len(pushes))
     ]  # fmt: skip
 
 
-def _combine(pushes, i, force, distance, se, gradient, calibration, range_ratio, regime):
+def _estimate(value, error) -> Estimate:
+    if not np.isfinite(value):
+        return NONE
+    return Estimate(float(value), float(error) if np.isfinite(error) else None)
+
+
+def _with_slides(known, rigs, pushes, covariances, answers) -> list[PushFriction]:
+    """The answers with what the free slides say, where a release speed was measured."""
+    v, d = pushes.release_velocity, pushes.sliding_distance
+    if not (np.isfinite(v) & np.isfinite(d)).any() or not rigs.friction.affine:
+        return answers
+    k_v_se = 0.0
+    if "k_v_N_s_per_m" in known.names:
+        j = known.names.index("k_v_N_s_per_m")
+        k_v_se = LINEAR["k_v_N_s_per_m"] * np.sqrt(covariances[:, j, j])
+    d_se = pushes.sliding_distance_se
+    sensor = sensor_errors(known.rig)[1]
+    d_se = np.where(np.isnan(d_se), np.nan if sensor is None else sensor, d_se)
+    v_se = pushes.release_velocity_se
+    v_se = np.where(np.isnan(v_se) & pushes.free_slides, 0.0, v_se)
+    mu, error = slide_friction(rigs, v, v_se, d, d_se, k_v_se)
+    out = []
+    for i, x in enumerate(answers):
+        found, reason = _estimate(mu[i], error[i]), x.reason
+        if found.value is None and pushes.free_slides:
+            reason = "no mu_s gives this distance: k_v alone would stop the part sooner"
+            if not (np.isfinite(v[i]) and np.isfinite(d[i])):
+                reason = "a free slide needs its release speed and its distance"
+        out.append(replace(x, mu_s_slide=found, reason=reason))
+    return out
+
+
+def _with_traces(
+    known, rigs_by_push, reduction: Reduction, covariances, answers, integrator
+) -> list[PushFriction]:
+    """The answers with what all samples say."""
+    guess = np.array([x.mu_s_optimal.value or x.mu_s_force.value or np.nan for x in answers])
+    found = trace_friction(rigs_by_push, reduction, guess, integrator)
+    every = coordinates.names(known.rig)
+    J = found.by_coordinate[:, [every.index(n) for n in known.names]]
+    variance = found.own_variance + np.einsum("ni,nij,nj->n", J, covariances, J)
+    error = found.mu_s * np.sqrt(variance)
+    return [
+        replace(
+            x,
+            mu_s_trace=_estimate(found.mu_s[i], error[i]),
+            trace_reduced_chi2=float(found.reduced_chi2[i]),
+            name=reduction.recordings[i].name,
+        )
+        for i, x in enumerate(answers)
+    ]
+
+
+def _combine(pushes, i, force, distance, se, gradient, calibrated, range_ratio, regime):
     """One push: the two inversions, (7), and generalised least squares on both."""
     pair = (force, distance)
     exists = np.array([x.value is not None for x in pair])
     mu = np.array([np.nan if x.value is None else x.value for x in pair])
     slope = np.array([np.nan if x.slope is None else x.slope for x in pair])
     covariance = np.diag((np.array(se) / slope) ** 2)
-    if calibration is not None:
-        by_parameter = gradient / slope[:, None]
-        covariance = covariance + by_parameter @ calibration.covariance @ by_parameter.T
+    by_parameter = gradient / slope[:, None]
+    covariance = covariance + by_parameter @ calibrated @ by_parameter.T
 
     def error(weights):
         used = weights != 0
@@ -149,7 +242,7 @@ def _combine(pushes, i, force, distance, se, gradient, calibration, range_ratio,
         used = weights != 0
         return Estimate(float(weights[used] @ mu[used]), error(weights))
 
-    none, reasons = Estimate(None), [x.reason for x in pair if x.reason]
+    none, reasons = NONE, [x.reason for x in pair if x.reason]
     single = [estimate(np.eye(2)[j]) if exists[j] else none for j in range(2)]
     by_7, weights, best, disagreement = none, None, none, None
     if exists.all():
@@ -183,14 +276,19 @@ def _combine(pushes, i, force, distance, se, gradient, calibration, range_ratio,
     )
 
 
+def _shifted(name: str, value, shift):
+    """A value whose coordinate is moved."""
+    return value + LINEAR[name] * shift if name in LINEAR else value * jnp.exp(shift)
+
+
 @eqx.filter_jit
 def _at(rigs, velocity, mu_s, free, integrator):
-    """(F_p, d), their derivatives by the logarithms of `free`, and the regime, at each mu_s."""
+    """(F_p, d), their derivatives by the coordinates of `free`, and the regime, at each mu_s."""
 
     def one(rig, velocity, mu_s):
         def measured(shift):
             values = parameters.values(rig)
-            new = {name: values[name] * jnp.exp(shift[i]) for i, name in enumerate(free)}
+            new = {name: _shifted(name, values[name], shift[i]) for i, name in enumerate(free)}
             rig_at = parameters.with_values(rig, {**new, "mu_s": mu_s})
             seen = observe(rig_at, velocity, integrator)
             both = jnp.stack([seen.peak_force, seen.sliding_distance])
@@ -220,7 +318,7 @@ def _supported_by_force(rigs, pushes, distance, integrator) -> list[Inversion]:
 
 def _around(rigs, pushes, force, distance, free, integrator):
     """For each push the derivatives (2, len(free)) of F_p at mu_force and of d at mu_dist by the
-    logarithms of the calibrated parameters, and the regime between the two."""
+    coordinates of the calibrated parameters, and the regime between the two."""
     n = len(pushes)
     mu = np.array([[x.value or np.nan for x in xs] for xs in (force, distance)])
     known = np.isfinite(mu).sum(axis=0)

@@ -50,6 +50,8 @@ class FitData:
     """(groups,) where the spreads start"""
     rough: NDArray
     """(n, m) weights for a first search, in which a model may be off by some per cent"""
+    samples_of: Any = 1.0
+    """(n,) how many numbers each push has"""
     left_out: int = 0
 
 
@@ -165,6 +167,7 @@ def traces_data(
         samples=int(made.counts.sum()),
         guess=none,
         rough=weights,
+        samples_of=np.maximum(made.counts.sum(axis=1), 1),
         left_out=made.left_out,
     )
 

@@ -76,8 +76,9 @@ def _peak_in(force, a, b, noise, centre, width, limits) -> Estimate | None:
 
 def _peak_extra(degree):
     """A higher power, and a kink on either side: the damper lets go soon after the peak."""
-    return lambda s: np.stack(
-        [s ** (degree + 1), np.maximum(s - 0.3 * s[-1], 0), np.maximum(0.3 * s[0] - s, 0)], axis=1
+    return lambda s, ends: np.stack(
+        [s ** (degree + 1), np.maximum(s - 0.3 * ends[1], 0), np.maximum(0.3 * ends[0] - s, 0)],
+        axis=1,
     )
 
 
@@ -168,7 +169,7 @@ def find_slide(position: Channel, edge: float, begin: float, stop: float, noise:
         edge,
         scale,
         lambda s: np.concatenate([powers(2)(s), _sides(s, 3)], axis=1),
-        lambda s: _sides(s, 4),
+        lambda s, _: _sides(s, 4),
         **_both(stretch, edge, 3),
         least=10,
     )
@@ -178,7 +179,7 @@ def find_slide(position: Channel, edge: float, begin: float, stop: float, noise:
     i = int(np.searchsorted(stretch.t, edge))
     whole = None
     if len(stretch.t) - i >= 8:
-        whole = fit_window(stretch, i, len(stretch.t), edge, scale, powers(2), powers(4, 3))
+        whole = fit_window(stretch, i, len(stretch.t), edge, scale, powers(2), lambda s, _: powers(4, 3)(s))
     mean = (np.nan, np.nan)
     if whole is not None:
         mean = (-2 * whole.coefficients[2] / scale**2, 2 * whole.se(2) / scale**2)

@@ -101,13 +101,14 @@ def powers(degree: int, start: int = 0) -> Callable[[NDArray], NDArray]:
 def fit_window(stretch: Stretch, lo, hi, centre, scale, design, extra=None) -> LocalFit:
     """Fit the columns `design(s)` of s = (t - centre) / scale to points lo <= i < hi.
 
-    `extra(s)` are the higher terms whose significance decides whether the fit is adequate.
+    `extra(s, ends)` are the higher terms whose significance decides whether the fit is adequate;
+    `ends` are the window's, in s.
     """
     s = (stretch.t[lo:hi] - centre) / scale
     columns = design(s)
     p = columns.shape[1]
     if extra is not None:
-        columns = np.concatenate([columns, extra(s)], axis=1)
+        columns = np.concatenate([columns, extra(s, (s[0], s[-1]))], axis=1)
     y = stretch.y[lo:hi]
     white = whitening(np.arange(lo, hi), stretch.noise)(np.concatenate([columns, y[:, None]], 1))
     norms = np.sqrt(np.einsum("ij,ij->j", white[:, :-1], white[:, :-1]))
@@ -123,9 +124,7 @@ def fit_window(stretch: Stretch, lo, hi, centre, scale, design, extra=None) -> L
     chi2 = (higher + rest) / max(hi - lo - p, 1)
     passed = 1.0
     if extra is not None:
-        free = max(hi - lo - q, 1)
-        p_value = min(chdtrc(q - p, higher), 30 * chdtrc(free, rest))
-        passed = next((level for level in _LEVELS if p_value > level), 0.0)
+        passed = float(_significance(higher, rest, q - p, hi - lo - q))
     covariance = inverse @ inverse.T / np.outer(norms[:p], norms[:p])
     if not passed:
         covariance = covariance * max(1.0, chi2)
@@ -141,8 +140,45 @@ def sizes(least: int, most: int, ratio: float = 1.45) -> list[int]:
     return [*found, most] if most >= 0 else []
 
 
-def _rank(fit: LocalFit, of: int) -> tuple[float, float]:
-    return fit.passed, -fit.se(of)
+def _significance(higher, rest, extra: int, free) -> NDArray:
+    """The highest of `_LEVELS` at which the higher terms' chi-square `higher`, of `extra` degrees
+    of freedom, and the remainder's `rest`, of `free`, are no surprise; 0 where there is none."""
+    p_value = np.minimum(chdtrc(extra, higher), 30 * chdtrc(np.maximum(free, 1), rest))
+    return np.select([p_value > level for level in _LEVELS], _LEVELS, 0.0)
+
+
+def _grams(stretch: Stretch, i: int, s: NDArray, columns, left, right) -> NDArray:
+    """Gram matrices (len(left), len(right), columns, columns) of the whitened columns of the
+    windows i - a <= j < i + b: each is the sum of its two sides'.
+
+    Not as good as a QR factorisation, but good enough to choose a window by.
+    """
+    correlated = bool(stretch.noise.correlation)
+    y = stretch.y - stretch.y[min(i, len(s) - 1)]
+
+    def gram(lo, hi, ends, joined):
+        """Of the rows lo <= j < hi; `joined` to the one before or on their own."""
+        begin = lo - 1 if joined else lo
+        rows = np.concatenate([columns(s[begin:hi], ends), y[begin:hi, None]], axis=1)
+        if correlated:
+            rows = whitening(np.arange(begin, hi), stretch.noise)(rows)[lo - begin :]
+        return rows.T @ rows / (1.0 if correlated else stretch.noise.level**2)
+
+    n = columns(s[:1], (0.0, 0.0)).shape[1] + 1
+    out = np.zeros((len(left), len(right), n, n))
+    for row, a in zip(out, left, strict=True):
+        if a:
+            row += gram(i - a, i, (s[i - a], np.inf), False)
+    behind = np.array([a > 0 for a in left])
+    for column, b in zip(np.moveaxis(out, 1, 0), right, strict=True):
+        if b:
+            ends = (-np.inf, s[i + b - 1])
+            for kind in {False, True} if correlated else {False}:
+                chosen = behind == kind if correlated else slice(None)
+                if correlated and not chosen.any():
+                    continue
+                column[chosen] += gram(i, i + b, ends, kind)
+    return out
 
 
 def best_window(
@@ -165,16 +201,31 @@ def best_window(
     `keep`: ends of the stretch (0, its length) at which the window must stay if it reaches them.
     """
     i = int(np.searchsorted(stretch.t, centre))
-    windows = {(max(i - a, 0), min(i + b, len(stretch.t))) for a in left for b in right}
-    best = None
-    for lo, hi in sorted(windows, key=lambda w: w[1] - w[0]):
-        if hi - lo < least:
-            continue
-        fit = fit_window(stretch, lo, hi, centre, scale, design, extra)
-        smaller = best is not None and not fit.passed and not best.passed
-        if best is None or (not smaller and _rank(fit, of) > _rank(best, of)):
-            best = fit
-    if best is None or not best.passed:
-        return best
-    lo, hi = (end if end in keep else round(i + _SHRINK * (end - i)) for end in (best.lo, best.hi))
-    return fit_window(stretch, lo, hi, centre, scale, design, extra) if hi - lo >= least else best
+    left, right = (np.array(sorted(set(n))) for n in (left, right))
+    size = left[:, None] + right
+    if not (size >= least).any():
+        return None
+
+    def columns(s, ends):
+        return np.concatenate([design(s), extra(s, ends)], axis=1)
+
+    s = (stretch.t - centre) / scale
+    gram = _grams(stretch, i, s, columns, left, right)[size >= least]
+    p, q = design(s[:1]).shape[1], gram.shape[-1] - 1
+    norms = np.sqrt(np.diagonal(gram, axis1=1, axis2=2))
+    norms[norms == 0] = 1.0
+    gram = gram / (norms[:, :, None] * norms[:, None, :]) + 1e-12 * np.eye(q + 1)
+    r = np.linalg.cholesky(gram).swapaxes(1, 2)
+    last = (r[:, :, -1] * norms[:, -1:]) ** 2
+    n = size[size >= least]
+    passed = _significance(last[:, p:q].sum(1), last[:, q], q - p, n - q)
+    unit = np.broadcast_to(np.eye(p)[of], (len(r), p))[..., None]
+    se = np.linalg.norm(np.linalg.solve(r[:, :p, :p].swapaxes(1, 2), unit)[..., 0], axis=1)
+    rank = np.where(passed > 0, se / norms[:, of], n)
+    chosen = int(np.lexsort((rank, -passed))[0])
+    ends = np.stack(np.broadcast_arrays(i - left[:, None], i + right), -1)[size >= least][chosen]
+    if passed[chosen]:
+        lo, hi = (int(e) if e in keep else round(i + _SHRINK * (e - i)) for e in ends)
+        if hi - lo >= least:
+            ends = lo, hi
+    return fit_window(stretch, int(ends[0]), int(ends[1]), centre, scale, design, extra)

@@ -183,6 +183,6 @@ def _edge_columns(degree, block, step=False):
 
 
 def _edge_extra(degree):
-    return lambda s: np.stack(
+    return lambda s, _: np.stack(
         [(s < 0) * s ** (degree + 1), (s < 0) * s ** (degree + 2), (s >= 0) * s], axis=1
     )
