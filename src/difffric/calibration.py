@@ -15,8 +15,10 @@ from difffric import coordinates, parameters
 from difffric.coordinates import Layout, layout
 from difffric.data_checks import checked_data
 from difffric.errors import InputError, NumericalError
+from difffric.first_search import other_branches, ranked_starts
 from difffric.fit_data import (
     RECORDINGS,
+    TABLE,
     FitData,
     sensor_errors,
     slides_data,
@@ -31,6 +33,8 @@ from difffric.recordings import Recordings
 from difffric.reduction import Reduction, reduce_recordings
 from difffric.rig import Rig
 from difffric.settling import (
+    ARRIVED,
+    NOTHING,
     ROUNDS,
     Model,
     Settled,
@@ -53,6 +57,9 @@ _SCATTER = 0.03
 """Where the scatter's estimate starts."""
 _REFINED = 3
 """How many different ends of the first search are followed to the end."""
+_DESCENTS = 9
+"""Starts from which a first search descends."""
+_BRANCHINGS = 3
 _FIRST_STEPS = 25
 """Steps of the first search from each start."""
 _LOOSE = 1e-5
@@ -291,6 +298,9 @@ class _Task:
         first, each with its chi-square and how many starts lead to it."""
         model = self.model
         starts = self._starts()
+        if len(starts) > 1 and data.kind == TABLE:
+            self.tell("looking for starts", 0.0)
+            starts = ranked_starts(model, data, starts, _DESCENTS)
         rough = replace(data, weights=data.rough, group=np.full(data.group.shape, -1))
         ends: list[tuple[float, Settled]] = []
         for i, theta in enumerate(starts):
@@ -325,10 +335,8 @@ class _Task:
             self.tell("settling", 0.4 + 0.03 * i)
             try:
                 done = settle(model, data, replace(at, scatter=max(at.scatter, model.scatter)))
-                other = unstuck(model, data, done)
-                if other is not done:
-                    again = settle(model, data, other)
-                    done = min(done, again, key=lambda x: x.components.criterion)
+                if data.kind == TABLE:
+                    done = self._on_the_best_branches(data, done)
             except NumericalError:
                 continue
             settled.append((done.components.criterion, done, count))
@@ -338,6 +346,18 @@ class _Task:
         best = settled[0][0]
         reached = sum(count for c, _, count in settled if c - best < _ALIKE)
         return [at for _, at, _ in settled], (reached, sum(n for *_, n in distinct))
+
+    def _on_the_best_branches(self, data: FitData, done: Settled) -> Settled:
+        """The fit once every push's own mu_s is on the branch that fits it best."""
+        for _ in range(_BRANCHINGS):
+            other = unstuck(self.model, data, done, other_branches(self.model, data, done))
+            if other is done:
+                break
+            again = settle(self.model, data, other)
+            if again.components.criterion > done.components.criterion - ARRIVED:
+                break
+            done = again
+        return done
 
     def _starts(self) -> list[NDArray]:
         """The set-up's own values, and a grid about its stiffness, damping and friction."""
@@ -400,6 +420,7 @@ class _Task:
             theta=at.theta,
             held=tuple(x for x, on in zip(layout.labels, at.held, strict=True) if on),
             covariance=c.covariance,
+            ahead=np.where(at.held, c.step, 0.0),
             freedom=c.freedom,
             scatter=at.scatter,
             scatter_se=float(c.relative_errors[0] * at.scatter) if at.scatter else np.nan,
@@ -447,11 +468,12 @@ def _own_errors(model: Model, data: FitData, at: Settled) -> NDArray:
     """Relative standard error of each push's own mu_s (n,), that of the shared parameters
     carried through."""
     P = model.layout.n_free
-    L = linear_at(model, data, at)
+    felt = ~(at.held & (at.theta <= NOTHING))
+    L = linear_at(model, data, replace(at, held=~felt))
     G = L.known + np.einsum("gnij,g->nij", L.groups, 1.0 / at.components.spreads**2)
     column = G[:, :, P]
     on = G[:, P, P] > 0
     G = G - np.einsum("ni,nj->nij", column, column / np.where(on, G[:, P, P], 1.0)[:, None])
     own = at.scatter**2 / (1 + at.scatter**2 * np.maximum(G[:, P + 1, P + 1], 0))
-    J = (model.layout.selection * ~at.held)[:, 0] - own[:, None] * G[:, P + 1, :P]
+    J = (model.layout.selection * felt)[:, 0] - own[:, None] * G[:, P + 1, :P]
     return np.sqrt(own + np.einsum("np,pq,nq->n", J, at.components.covariance, J))

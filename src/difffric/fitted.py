@@ -13,11 +13,8 @@ from difffric import parameters
 from difffric.coordinates import slope, to_value
 from difffric.rig import Rig
 from difffric.setup_file import Extras, Setup
+from difffric.undetermined import undetermined, units
 
-_UNKNOWN = 1.0
-"""A standard error of the logarithm above this says that the data do not determine the value."""
-_TRADED = 0.98
-"""Correlations above this are named: the two can be traded for one another."""
 LEVELS = (0.68, 0.95, 0.997)
 
 
@@ -41,8 +38,10 @@ class Fit:
     theta: NDArray
     """(free,) coordinates"""
     held: tuple[str, ...]
-    """free parameters that went to a bound; their covariance is zero"""
+    """free parameters that went to a bound"""
     covariance: NDArray
+    ahead: NDArray
+    """(free,) how far beyond its bound the unbounded estimate of one that is held lies"""
     freedom: NDArray
     """(free,) degrees of freedom of the t-distribution of each (Satterthwaite)"""
     scatter: float
@@ -114,13 +113,19 @@ class Fit:
         return float(error * (np.sqrt(self.reduced_chi2) if scaled else 1.0))
 
     def interval(self, label: str, level: float = 0.95) -> tuple[float, float] | None:
-        """Confidence interval [SI] from the t-distribution of the coordinate; None at a bound."""
-        if label in self.held:
-            return None
+        """Confidence interval [SI] from the t-distribution of the coordinate. At a bound it
+        reaches from there to where the unbounded estimate's ends, which may be the bound; None
+        where the data do not feel the parameter any more."""
         i = self.index(label)
-        half = stats.t.ppf(0.5 + level / 2, self.freedom[i]) * np.sqrt(self.covariance[i, i])
-        ends = (float(to_value(self.names[i], self.theta[i] + s * half)) for s in (-1, 1))
-        low, high = ends
+        variance = self.covariance[i, i]
+        if label in self.held and variance == 0:
+            return None
+        half = stats.t.ppf(0.5 + level / 2, self.freedom[i]) * np.sqrt(variance)
+        centre = self.theta[i] + self.ahead[i]
+        low, high = (float(to_value(self.names[i], centre + s * half)) for s in (-1, 1))
+        if label in self.held:
+            value = self.value(label)
+            low, high = (value, max(value, high)) if self.ahead[i] < 0 else (min(value, low), value)
         return (max(low, 0.0), high)
 
     @property
@@ -132,32 +137,28 @@ class Fit:
 
     @property
     def not_identifiable(self) -> list[dict]:
-        """Free parameters that these data do not determine, with the reason."""
-        out, correlation = [], self.correlation
-        for i, label in enumerate(self.free):
+        """Free parameters that these data do not determine, with the reason: at a bound, or as
+        `undetermined` says."""
+        out = []
+        for label in self.free:
             if label in self.held:
                 at = "zero" if label in self.vanished else f"{self.value(label):.6g}"
                 side = "lower" if self._at_lower(label) else "upper"
                 out.append({"parameters": [label], "reason": f"at its {side} bound, {at}"})
-                continue
-            error = self.standard_error(label) or 0.0
-            relative = error / abs(self.value(label)) if self.value(label) else np.inf
-            log = np.sqrt(self.covariance[i, i]) if self.names[i] != "k_v_N_s_per_m" else relative
-            if log < _UNKNOWN:
-                continue
-            partners = [
-                other
-                for j, other in enumerate(self.free)
-                if j != i and abs(correlation[i, j]) > _TRADED
-            ]
-            if partners:
-                reason = f"traded off against {', '.join(partners)}: these data fix a combination"
-            elif self.names[i] == "k_v_N_s_per_m":
-                reason = f"flat: one standard error is {relative:.3g} times the value"
-            else:
-                reason = f"flat: one standard error is a factor of {np.exp(min(log, 50.0)):.3g}"
-            out.append({"parameters": [label, *partners], "reason": reason})
-        return out
+        open_ = [i for i, label in enumerate(self.free) if label not in self.held]
+        covariance = self.covariance[np.ix_(open_, open_)]
+        names = [self.names[i] for i in open_]
+        unit = units(self.rig, names, self._fastest)
+        return out + undetermined([self.free[i] for i in open_], names, covariance, unit)
+
+    @property
+    def _fastest(self) -> float:
+        """The fastest of the pushes, or of the slides' releases [m/s]; 0: not known."""
+        if self.work is None:
+            return 0.0
+        pushes = self.work[1].pushes
+        slides = hasattr(pushes, "release_velocity")
+        return float(np.max(pushes.release_velocity if slides else pushes.velocity))
 
     def _at_lower(self, label: str) -> bool:
         return label in self.vanished or self.names[self.index(label)] != "mu_k_over_mu_s"

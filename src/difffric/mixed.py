@@ -18,6 +18,8 @@ import optimistix as optx
 from numpy.typing import NDArray
 from scipy.optimize import minimize as scipy_minimize
 
+from difffric.arrow import Arrow
+
 Array = Any  # NumPy's outside a compiled program, JAX's within
 
 MAX_STEPS = 60
@@ -146,7 +148,7 @@ def minimise(problem: Problem, start: Point, steps) -> End:
     steps at most."""
     solution = optx.least_squares(
         lambda point, _: _residuals(problem, point),
-        _LevenbergMarquardt(rtol=1e-8, atol=1e-7),  # pyright: ignore[reportCallIssue]
+        _LevenbergMarquardt(rtol=1e-8, atol=1e-7, linear_solver=Arrow()),  # pyright: ignore
         start,
         args=steps,
         has_aux=True,
@@ -280,7 +282,7 @@ def components(
         best = min(found, key=lambda f: f.fun).x
     s, spread = unpack(best)
     criterion, X, Xr, rr = model.criterion(s, spread)
-    covariance = _inverse(X)
+    covariance = inverse(X)
     freedom, relative = _freedom(model, unpack, best, covariance, P)
     return Components(
         scatter=s,
@@ -295,7 +297,7 @@ def components(
     )
 
 
-def _inverse(information):
+def inverse(information):
     """Inverse information, with a huge variance along what is not determined at all, and 0 for
     what is not there."""
     there = np.diag(information) > 0
@@ -329,7 +331,7 @@ def _freedom(model: LinearModel, unpack, x, covariance, P):
     ) / (4 * h * h)
 
     def variances(at):
-        return np.diag(_inverse(model.criterion(*unpack(at))[1]))
+        return np.diag(inverse(model.criterion(*unpack(at))[1]))
 
     slope = np.array([(variances(x + a) - variances(x - a)) / (2 * h) for a in E])
     values, vectors = np.linalg.eigh(0.5 * hessian)

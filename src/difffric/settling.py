@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,6 +22,7 @@ from difffric.mixed import (
     Point,
     Problem,
     components,
+    inverse,
     linear_model,
     minimise,
 )
@@ -229,11 +231,30 @@ def settle(model: Model, data: FitData, at: Settled, *, trust=30.0, rounds=ROUND
                 linear_at(model, data, at), at.scatter, at.spreads, model.estimate_scatter
             ),
         )
-    return replace(at, settled=settled)
+    return replace(at, settled=settled, components=_with_bounds(model, data, at, robust))
 
 
-def unstuck(model: Model, data: FitData, at: Settled) -> Settled:
-    """The point with each push's own mu_s where it fits best, among several starts.
+def _with_bounds(model: Model, data: FitData, at: Settled, factor) -> Components:
+    """The components with the covariance and the step of a parameter at its bound, too.
+
+    Without its column the others would be as certain as if its true value were the bound; with
+    it their errors are those without the bound, which are no smaller.
+    """
+    found, vanished = at.components, at.theta <= NOTHING
+    if not (at.held & ~vanished).any():
+        return found
+    open_ = replace(at, held=at.held & vanished)
+    _, X, Xr, _ = linear_at(model, data, open_, factor).criterion(at.scatter, at.spreads)
+    covariance = inverse(X)
+    freedom = np.where(np.isfinite(found.freedom), found.freedom, np.min(found.freedom))
+    return found._replace(covariance=covariance, step=-covariance @ Xr, freedom=freedom)
+
+
+def unstuck(
+    model: Model, data: FitData, at: Settled, trials: Sequence[NDArray] | None = None
+) -> Settled:
+    """The point with each push's own mu_s where it fits best, among several starts: `trials`,
+    each (n,), or multiples of the scatter to either side.
 
     d jumps with mu_s where a regime ends, and has several mu_s besides: a search from one side
     may stay on the wrong one. With the shared parameters held the pushes are independent.
@@ -241,6 +262,8 @@ def unstuck(model: Model, data: FitData, at: Settled) -> Settled:
     if at.scatter <= 0:
         return at
     everything = np.ones_like(at.held)
+    if trials is None:
+        trials = [at.s_eta + shift * at.scatter for shift in OTHERWISE]
 
     def cost(end):
         rows = at.weights * np.asarray(end.rows)[: data.n, :, -1]
@@ -249,9 +272,9 @@ def unstuck(model: Model, data: FitData, at: Settled) -> Settled:
 
     best, s_eta = cost(at.end)
     improved = False
-    for shift in OTHERWISE:
-        trial = replace(at, s_eta=at.s_eta + shift * at.scatter)
-        end = descend(model, data, trial, everything, at.weights, at.scatter, 30.0)
+    for trial in trials:
+        start = replace(at, s_eta=trial)
+        end = descend(model, data, start, everything, at.weights, at.scatter, 30.0)
         new, moved_to = cost(end)
         better = new < best - 1e-3
         improved |= bool(better.any())
