@@ -167,9 +167,10 @@ class ClosedForm(eqx.Module):
         z_1 = jnp.where(event == CATCH, 0.0, z + v_p * dt - s)
         return Leg(dt, event, z_1, jnp.where(event == HALT, 0.0, u_1), s, 0.0)
 
-    def pushed_state(self, rig, closing: bool, z, u, v_p, t):
-        """(z, u) at the time t into a pushed leg."""
-        osc, z_e = _oscillator(rig.approaching if closing else rig.rebounding, v_p)
+    def pushed_state(self, rig, closing, z, u, v_p, t):
+        """(z, u) at the time t into a pushed leg; the oscillator is chosen, not its solution."""
+        legs = _oscillator(rig.approaching, v_p), _oscillator(rig.rebounding, v_p)
+        osc, z_e = jax.tree.map(lambda a, b: jnp.where(closing, a, b), *legs)
         p, dp = osc.flow(z - z_e, v_p - u, t)
         return z_e + p, v_p - dp
 

@@ -236,11 +236,20 @@ class Diffrax(eqx.Module):
         u_1 = jnp.where(event == HALT, 0.0, u_1)
         return self._checked(march, Leg(dt, event, z_1, u_1, slid, 0.0))
 
-    def pushed_state(self, rig, closing: bool, z, u, v_p, t):
+    def pushed_state(self, rig, closing, z, u, v_p, t):
         """(z, u) at the time t into a pushed leg."""
-        motion = _Motion.of(rig, "approach" if closing else "rebound", v_p)
-        march = self._march(motion, motion.scaled(z, u), t, ())
-        return motion.state(self._state(motion, march, t))
+        closing = jnp.asarray(closing)
+
+        def at(mode, t):
+            motion = _Motion.of(rig, mode, v_p)
+            march = self._march(motion, motion.scaled(z, u), t, ())
+            return motion.state(self._state(motion, march, t))
+
+        here, there = (
+            at("approach", jnp.where(closing, t, 0.0)),
+            at("rebound", jnp.where(closing, 0.0, t)),
+        )
+        return jax.tree.map(lambda a, b: jnp.where(closing, a, b), here, there)
 
     def free_state(self, rig, u, t):
         """(distance, u) at the time t into a free leg."""

@@ -93,6 +93,7 @@ def coordinates(problem: Problem, point: Point):
     return c
 
 
+@eqx.filter_jit  # so that it is traced once for all the places in which a solver calls it
 def _respond(problem: Problem, point: Point):
     def one(push, c):
         return push.respond(problem.rig, problem.integrator, c)

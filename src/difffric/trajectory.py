@@ -102,17 +102,13 @@ def _at(trajectory: Trajectory, time):
     dt = jnp.maximum(time - s.t, 0.0)
     y = s.y + s.v_p * dt
 
-    def within(mode):  # no mode is followed where it does not hold
-        return jnp.where(s.mode == mode, dt, 0.0)
-
-    z_c, u_c = integrator.pushed_state(rig, True, s.z, s.u, s.v_p, within(CLOSING))
-    z_r, u_r = integrator.pushed_state(rig, False, s.z, s.u, s.v_p, within(REBOUNDING))
-    slid, u_f = integrator.free_state(rig, s.u, within(FREE))
-    stuck = (s.z + s.v_p * dt, jnp.zeros_like(s.u))
-    moving = ((z_c, u_c), (z_r, u_r), (s.z + s.v_p * dt - slid, u_f))
-    z, u = stuck
-    for mode, (z_m, u_m) in zip((CLOSING, REBOUNDING, FREE), moving, strict=True):
-        z, u = jnp.where(s.mode == mode, z_m, z), jnp.where(s.mode == mode, u_m, u)
+    closing, free = s.mode == CLOSING, s.mode == FREE
+    pushed = closing | (s.mode == REBOUNDING)
+    # No mode is followed where it does not hold.
+    z_p, u_p = integrator.pushed_state(rig, closing, s.z, s.u, s.v_p, jnp.where(pushed, dt, 0.0))
+    slid, u_f = integrator.free_state(rig, s.u, jnp.where(free, dt, 0.0))
+    z = jnp.where(pushed, z_p, s.z + s.v_p * dt - jnp.where(free, slid, 0.0))
+    u = jnp.where(pushed, u_p, jnp.where(free, u_f, 0.0))
 
     approach, rebound = rig.contact.approach(z, s.v_p - u), rig.contact.rebound(z, s.v_p - u)
     force = jnp.where(s.mode == REBOUNDING, rebound, approach)
