@@ -26,7 +26,8 @@ demo: $(READY)  ## the paper's tables and figures, into out/paper
 test: $(READY)  ## the tests
 	$(BIN)/python -m pytest
 
-study: $(READY)  ## the tests marked slow, which take minutes
+study: $(READY)  ## a study of 1800 calibrations (hours; CASES=50: of fewer), then the slow tests
+	$(BIN)/python -m tests.study $(if $(CASES),--cases $(CASES))
 	$(BIN)/python -m pytest -m slow
 
 bench: $(READY)  ## the benchmarks, into .benchmarks/latest.json

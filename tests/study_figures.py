@@ -70,7 +70,7 @@ def coverage(lines: Sequence[dict], labels: Sequence[str] = LABELS) -> tuple[Sha
     """How many intervals hold the truth, and the p-value of that under 95 %.
 
     Exact binomial for one parameter. Those of one rig are not independent: for several together
-    the test is normal, with the variance between rigs.
+    the test is normal, with the binomial variance times what the variance between rigs is of it.
     """
     table = [covered(lines, label) for label in labels]
     rigs = [[x for x in row if x is not None] for row in zip(*table, strict=True)]
@@ -79,14 +79,17 @@ def coverage(lines: Sequence[dict], labels: Sequence[str] = LABELS) -> tuple[Sha
         return share, math.nan
     if len(labels) == 1:
         return share, float(stats.binomtest(share.k, share.n, LEVEL).pvalue)
-    excess = np.array([sum(row) - LEVEL * len(row) for row in rigs])
-    spread = math.sqrt(float(np.sum(excess**2)))
-    return share, float(2 * stats.norm.sf(abs(excess.sum()) / spread))
+    rate, n = share.value, share.n
+    between = sum((sum(row) - rate * len(row)) ** 2 for row in rigs)
+    times = between / (n * rate * (1 - rate)) if 0 < rate < 1 else 1.0
+    spread = math.sqrt(times * n * LEVEL * (1 - LEVEL))
+    return share, float(2 * stats.norm.sf(abs(share.k - LEVEL * n) / spread))
 
 
 def at_bound(lines: Sequence[dict]) -> dict[str, int]:
-    """Label -> in how many cases it went to a bound and has no interval."""
-    found = {label: sum(x is None for x in covered(lines, label)) for label in LABELS}
+    """Label -> in how many cases it went to a bound and has no standard error."""
+    good = answered(lines)
+    found = {x: sum(line["parameters"][x]["se"] is None for line in good) for x in LABELS}
     return {label: n for label, n in found.items() if n}
 
 
@@ -149,7 +152,7 @@ def column(lines: Sequence[dict]) -> list[str]:
     cells.append(f"{100 * np.mean(np.abs(z) <= 1.96):.1f} %" if len(z) else "–")
     wrong = [line for line in lines if not reached(line)]
     cells.append(str(Share(len(lines) - len(wrong), len(lines))))
-    cells.append(str(Share(sum(map(said_so, wrong)), len(wrong))))
+    cells.append(f"{sum(map(said_so, wrong))} of {len(wrong)}")
     cells.append(str(sum(not line["converged"] for line in good)))
     cells.append(str(len(lines) - len(good)))
     cells.append(f"{np.median([line['seconds'] for line in good]):.1f} s" if good else "–")
@@ -161,7 +164,7 @@ ROWS = (
     "parameters within 3 standard errors",
     "coverage of 95 % intervals, all",
     *(f"of {label}" for label in LABELS),
-    "at a bound, without an interval",
+    "at a bound, without a standard error",
     "each push's own mu_s within 1.96 of its standard errors",
     "reached the right optimum",
     "of the others, say so",

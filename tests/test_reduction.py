@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from difffric.errors import InputError
+from difffric.local_fit import Stretch, best_window, fit_window, powers
 from difffric.noise import (
     Noise,
     lag_one,
@@ -33,6 +34,7 @@ from difffric.reduction import (
     reduce_push,
     reduce_recordings,
 )
+from tests.reduction_survey import summary, survey
 from tests.reference import ode
 
 PRACTICE = Path(__file__).parents[2] / "shared" / "data" / "practice"
@@ -264,6 +266,86 @@ def test_coverage_over_speeds(rate, phi):
         if phi == 0.0:
             assert abs(F.mean()) < 0.1
     assert (np.mean(inside, axis=0) >= 0.9).all() and (np.mean(inside, axis=0) <= 0.99).all()
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.7])
+@pytest.mark.parametrize("centre", [0.0, 11.2, 30.0])
+def test_the_best_of_all_windows(phi, centre):
+    """The fast choice of a window is that of fitting each of them."""
+    rng, sides = np.random.default_rng(7), {"left": [3, 5, 8, 11], "right": [3, 6, 9, 20]}
+    t = np.arange(40.0)
+    y = 50 + 0.02 * (t - 11) ** 2 + 0.01 * np.maximum(t - 17, 0) ** 3 + 0.3 * ar1(rng, 40, phi)
+    stretch, i = Stretch(t, y, 1.0, Noise(0.3, phi)), int(np.searchsorted(t, centre))
+    fits = [
+        fit_window(stretch, max(i - a, 0), min(i + b, 40), centre, 10.0, powers(2), _cubic)
+        for a in sides["left"]
+        for b in sides["right"]
+        if i >= a or i == 0
+    ]
+    best = max(fits, key=lambda fit: (fit.passed, -fit.se(1)))
+    sides = {"left": [a for a in sides["left"] if a <= i] or [0], "right": sides["right"]}
+    sides["right"] = [b for b in sides["right"] if i + b <= 40]
+    keep = (best.lo, best.hi)  # as found, not shortened
+    found = best_window(stretch, centre, 10.0, powers(2), _cubic, **sides, least=3, of=1, keep=keep)
+    assert found is not None and best.passed > 0
+    assert (found.lo, found.hi) == (best.lo, best.hi)
+    np.testing.assert_array_equal(found.coefficients, best.coefficients)
+
+
+def _cubic(s, ends):
+    return np.stack([s**3, np.maximum(s - 0.3 * ends[1], 0)], axis=1)
+
+
+# ---- random rigs: short, late and last contacts, releases at the pusher's stop
+
+
+def holds(rows, least=0.85, most=1.2, wrong=0.01):
+    """z about standard normal, almost none beyond 4, and d where there is one, and only there."""
+    for name in ("z_force", "z_distance"):
+        z = np.array([getattr(row, name) for row in rows])
+        print(summary(name, z))
+        z = z[np.isfinite(z)]
+        assert np.mean(np.abs(z) > 4) < wrong
+        assert least < z.std() < most and abs(z.mean()) < 0.3
+    exists = np.isfinite([row.push.sliding_distance for row in rows])
+    given = np.isfinite([row.found.sliding_distance for row in rows])
+    assert np.mean(exists != given) < wrong
+
+
+def test_random_rigs():
+    holds(list(survey([2, 7, 8, 15, 19, 23])))  # d was off by up to 350 errors there
+
+
+def test_a_stop_that_nobody_told():
+    """Without the stroke, the pusher's stop is seen in the force alone."""
+    holds(list(survey([8, 19, 23], told=np.nan)), most=1.3, wrong=0.03)
+
+
+def test_a_stop_that_is_told_wrong():
+    holds(list(survey([8, 19, 23], told=0.97)), most=1.3, wrong=0.03)
+
+
+def test_rests_in_contact_with_almost_no_force():
+    rows = [row for row in survey([107]) if np.isnan(row.push.sliding_distance)]
+    assert rows
+    for row in rows:
+        assert np.isnan(row.found.sliding_distance)
+        assert row.found.reason.startswith(RESTS_IN_CONTACT)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("rigs", "rate", "rho", "told", "most", "wrong"),
+    [
+        (100, 1e4, 0.0, 1.0, 1.2, 0.01),
+        (20, 2e5, 0.0, 1.0, 1.25, 0.01),
+        (60, 1e4, 0.0, np.nan, 1.5, 0.03),
+        (60, 1e4, 0.9, 1.0, 2.5, 0.02),
+    ],
+)
+def test_survey(rigs, rate, rho, told, most, wrong):
+    """The survey of docs/reduction.md."""
+    holds(list(survey(range(rigs), rate, rho, told)), most=most, wrong=wrong)
 
 
 # ---- what is not to be had, and why

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
+from threading import Thread
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +16,7 @@ from difffric import coordinates, parameters
 from difffric.coordinates import Layout, layout
 from difffric.data_checks import checked_data
 from difffric.errors import InputError, NumericalError
-from difffric.first_search import other_branches, ranked_starts
+from difffric.first_search import fit_of_forces, other_branches, ranked_starts
 from difffric.fit_data import (
     RECORDINGS,
     TABLE,
@@ -232,54 +233,101 @@ class _Task:
     def recordings(self) -> Fit:
         """The fit of whole recordings, from where their peaks and distances lead."""
         assert self.reduction is not None
-        rig, recordings = self.setup.rig, self.reduction.recordings
-        try:
-            self.model = replace(self.model, rig=strokes_of(rig, self.pushes.stroke)[0])
-            _, data = table_data(rig, self.pushes, sensor_errors(rig))
-            # Peaks and distances only lead to where the samples decide.
-            loose = np.hypot(1.0 / np.maximum(data.rough, 1e-300), [0.0, _LOOSE])
-            data = replace(data, rough=np.where(data.rough > 0, 1.0 / loose, 0.0))
-            ends = self._first_search(data)
-            starts: list[Settled | None] = [at for _, at, _ in ends[:_REFINED]]
-            reached = (ends[0][2], sum(count for *_, count in ends))
-        except (InputError, NumericalError):
-            starts, reached = [], (0, 0)
-        self.model = replace(self.model, free_start=self.free_start)
-        starts.append(None)
+        recordings = self.reduction.recordings
+        table, samples = self.model, replace(self.model, free_start=self.free_start)
+        self.model = samples
+        compiling = Thread(target=self._compile, args=(recordings,), daemon=True)
+        compiling.start()  # the other programs are compiled meanwhile
         best: tuple[FitData, Settled] | None = None
-        for i, start in enumerate(starts):
-            self.tell("fitting every sample", 0.5 + 0.4 * i / len(starts))
+        tried = 0
+        for search in (self._forces_first, self._tables_first, lambda model: [None]):
             try:
-                found = self._follow(recordings, start)
-            except NumericalError:
+                starts = search(table)
+            except (InputError, NumericalError):
                 continue
-            if best is None or found[1].components.chi2 < best[1].components.chi2:
-                best = found
-            data, at = best
-            if at.components.chi2 < _FITS * data.samples:
+            compiling.join()
+            for start in starts:
+                tried += 1
+                self.tell("fitting every sample", 0.3 + 0.1 * min(tried, 6))
+                try:
+                    found = self._follow(recordings, start)
+                except NumericalError:
+                    continue
+                if best is None or found[1].components.chi2 < best[1].components.chi2:
+                    best, reached = found, 0
+                reached += found[1].components.chi2 < best[1].components.chi2 + _ALIKE
+                if best[1].components.chi2 < _FITS * best[0].samples:
+                    break
+            if best is not None and best[1].components.chi2 < _FITS * best[0].samples:
                 break
         if best is None:
             raise NumericalError("fit: no start gives a finite misfit")
         self.tell("done", 1.0)
-        return self._fit(*best, reached)
+        return self._fit(*best, (reached, tried))
+
+    def _loose_table(self) -> tuple[Rig, FitData]:
+        """Peaks and distances, which only lead to where the samples decide."""
+        rig, data = table_data(self.setup.rig, self.pushes, sensor_errors(self.setup.rig))
+        sd = np.hypot(1.0 / np.maximum(data.rough, 1e-300), [0.0, _LOOSE])
+        return rig, replace(data, rough=np.where(data.rough > 0, 1.0 / sd, 0.0))
+
+    def _forces_first(self, table: Model) -> list[Settled | None]:
+        """Where F_p alone and then d too lead."""
+        rig, data = self._loose_table()
+        model = replace(table, rig=rig)
+        found = fit_of_forces(model, data, self._starts())
+        if found is None:
+            return []
+        boxes = [found[0].theta, self.layout.start]
+        return [at for _, at, _ in self._descents(model, data, boxes)[:1]]
+
+    def _tables_first(self, table: Model) -> list[Settled | None]:
+        """Where the whole search of a table leads."""
+        rig, data = self._loose_table()
+        self.model = replace(table, rig=rig)
+        try:
+            return [at for _, at, _ in self._first_search(data)[:_REFINED]]
+        finally:
+            self.model = replace(table, free_start=self.free_start)
+
+    def _compile(self, recordings: Recordings) -> None:
+        """Have the program that fits the samples compiled."""
+        assert self.reduction is not None
+        try:
+            rig, data = self._traces(recordings, None)
+            model = replace(self.model, rig=rig)
+            at = first_point(model, data, self.layout.start)
+            descend(model, data, at, at.held, data.weights, max(model.scatter, 1e-3), 1e3, 0)
+        except Exception:  # the fit itself will say what is wrong
+            return
+
+    def _traces(self, recordings: Recordings, jumps: NDArray | None, stiffest: float = 0.0):
+        """The samples as a fit takes them, in blocks that suit a contact `stiffest` [N/m], or
+        three times as stiff as the set-up says."""
+        assert self.reduction is not None
+        stiffest = max(
+            stiffest, _FACTORS["k_N_per_m"] * parameters.values(self.setup.rig)["k_N_per_m"]
+        )
+        lightest = np.nanmin([float(self.setup.rig.mass), *self.pushes.mass])
+        return traces_data(
+            self.setup.rig,
+            recordings,
+            self.reduction.details,
+            float(np.sqrt(2 * stiffest / lightest)),
+            len(coordinates.names(self.setup.rig)),
+            jumps,
+            2e-5 if self.free_start else 0.0,
+        )
 
     def _follow(self, recordings: Recordings, start: Settled | None) -> tuple[FitData, Settled]:
         """Fit the samples, leaving out those beside the jumps of the model as it stands."""
-        assert self.reduction is not None
         theta = self.layout.start if start is None else start.theta
-        rig, details = self.setup.rig, self.reduction.details
-        value = self.layout.value(theta)
-        stiffest = max(
-            [parameters.values(rig)["k_N_per_m"], *(v for x, v in value.items() if x[0] == "k")]
-        )
-        lightest = np.nanmin([float(rig.mass), *self.pushes.mass])
-        fastest = float(np.sqrt(2 * stiffest / lightest))
-        K = len(coordinates.names(rig))
-        guard = 2e-5 if self.free_start else 0.0
+        named = self.layout.value(theta).items()
+        stiffest = max([0.0, *(v for x, v in named if x.startswith("k_N_per_m"))])
         jumps, at, rounds = None, start, ROUNDS
         while True:
-            rig_, data = traces_data(rig, recordings, details, fastest, K, jumps, guard)
-            model = replace(self.model, rig=rig_)
+            rig, data = self._traces(recordings, jumps, stiffest)
+            model = replace(self.model, rig=rig)
             fresh = first_point(model, data, theta)
             if at is None:
                 at = fresh
@@ -301,6 +349,12 @@ class _Task:
         if len(starts) > 1 and data.kind == TABLE:
             self.tell("looking for starts", 0.0)
             starts = ranked_starts(model, data, starts, _DESCENTS)
+        return self._descents(model, data, starts)
+
+    def _descents(
+        self, model: Model, data: FitData, starts: list[NDArray]
+    ) -> list[tuple[float, Settled, int]]:
+        """Where descents from `starts` end."""
         rough = replace(data, weights=data.rough, group=np.full(data.group.shape, -1))
         ends: list[tuple[float, Settled]] = []
         for i, theta in enumerate(starts):
@@ -433,7 +487,7 @@ class _Task:
             conditions=tuple(pushes.condition),
             mu_s=np.exp(log_mu),
             mu_s_se=np.exp(log_mu) * _own_errors(model, data, at),
-            start=start_offsets(at, n),
+            start=start_offsets(at),
             peak_force=F,
             sliding_distance=d,
             noise=noise,

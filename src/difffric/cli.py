@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -17,9 +18,21 @@ app = typer.Typer(
     help="Differentiable identification of sliding friction.",
 )
 
+UsageError: Any = typer.BadParameter.__base__
 Setup = Annotated[Path, typer.Argument(help="the rig, a setup.toml", show_default=False)]
+Data = Annotated[Path, typer.Argument(help="measured pushes, .csv or .tdms", show_default=False)]
+SetupOption = Annotated[
+    Path, typer.Option("--setup", help="the rig, a setup.toml", show_default=False)
+]
+DataMass = Annotated[
+    bool, typer.Option("--use-data-mass", help="masses may contradict the set-up's")
+]
+SkipBad = Annotated[bool, typer.Option("--skip-bad", help="leave out what cannot be used")]
 Out = Annotated[Path | None, typer.Option(help="folder for result.json, report.html, figures")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="no progress on standard error")]
+
+_WIDEST = 200
+"""Characters of a printed table."""
 
 
 def main() -> None:
@@ -28,7 +41,17 @@ def main() -> None:
     from difffric.errors import DifffricError, InputError
 
     try:
-        app(standalone_mode=True)
+        sys.exit(app(standalone_mode=False) or 0)
+    except UsageError as error:
+        if not sys.argv[1:]:  # the help
+            error.show()
+            sys.exit(2)
+        text = " ".join(error.format_message().split()).rstrip(".")
+        sys.stderr.write(f"difffric: {text}; --help says what is expected\n")
+        sys.exit(2)
+    except typer.Abort:
+        sys.stderr.write("difffric: aborted\n")
+        sys.exit(1)
     except InputError as error:
         sys.stderr.write(f"difffric: {error}\n")
         sys.exit(2)
@@ -88,32 +111,45 @@ def _progress(quiet: bool):
         yield lambda what, share: bar.update(task, description=what, completed=share)
 
 
-def _finish(report, answer, out: Path | None) -> None:
-    """Print the report's tables for a person; write the folder where one was asked for."""
+def _finish(report, answer, out: Path | None, files: Mapping[str, bytes] | None = None) -> None:
+    """Print the report's tables for a person; write the folder where one was asked for, with
+    other files if there are any."""
+    from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     console = Console(highlight=False, markup=False)
+    own_width = console.width
     for line in report.summary:
         console.print(line)
     for section in report.sections:
         for table in section.tables:
-            shown = Table(title=table.caption, title_justify="left", title_style="bold")
+            shown = Table(
+                title=table.caption, title_justify="left", title_style="bold", box=SIMPLE_HEAD,
+                padding=0, pad_edge=False, collapse_padding=True,
+            )  # fmt: skip
             for i, column in enumerate(table.columns):
-                shown.add_column(Text(column), justify="left" if i == 0 else "right")
+                shown.add_column(
+                    Text(column), justify="left" if i == 0 else "right", overflow="fold"
+                )
             for row in table.rows:
                 shown.add_row(*(Text(cell) for cell in row))
+            # Numbers are not to be broken where a terminal is narrow: it wraps whole lines.
+            needed = console.measure(shown, options=console.options.update(width=_WIDEST)).maximum
+            console.width = max(own_width, needed)
             console.print(shown)
+    console.width = own_width
     if out is not None:
         from difffric.report import write
 
-        write(out, answer, report)
-        console.print(f"written to {out}: result.json, report.html, figures")
+        write(out, answer, report, files)
+        names = ", ".join(["result.json", "report.html", *(files or {}), "figures"])
+        console.print(f"written to {out}: {names}")
 
 
 def _check_out(out: Path | None) -> None:
-    """Say that a folder cannot be written before the work, not after it."""
+    """Say that a folder cannot be written before the work, not after it; nothing is made yet."""
     if out is not None:
         from difffric.report import writable
 
@@ -167,6 +203,7 @@ def acquire(
     from difffric import answer_acquire as answers
     from difffric.acquire import acquire as record
     from difffric.card import METRES_PER_COUNT, open_card
+    from difffric.report import folder_for
     from difffric.setup_file import read_setup
     from difffric.units import from_mm
 
@@ -180,8 +217,8 @@ def acquire(
         mass, resolution = float(setup.rig.mass), setup.rig.probe.resolution
         card, truth = answers.simulated_card(setup, rate_hz, seed)
     pushes = answers.commands(velocity_mm_min or (), stroke=stroke, mass=mass)
-    file = (out or Path()) / "pushes.tdms"
-    with card as session, _progress(quiet) as tell:
+    with folder_for(out or Path()) as folder, card as session, _progress(quiet) as tell:
+        file = folder / "pushes.tdms"
         found = record(session, pushes, file, tell=tell, resolution=float(resolution))
     note = answers.NO_STROKE if stroke is None else None
     seeded = None if simulate is None else seed
@@ -202,6 +239,93 @@ def family(setup: Setup, out: Out = None, quiet: Quiet = False) -> None:
         grid = curves(rig)
     answer = family_answer(grid)
     _finish(family_report(answer, grid, rig), answer, out)
+
+
+@app.command()
+def fit(
+    data: Data,
+    setup: SetupOption,
+    free: Annotated[
+        list[str] | None, typer.Option(help="a free parameter, once each; default k, b, k_v, mu_s")
+    ] = None,
+    per_condition: Annotated[
+        list[str] | None,
+        typer.Option(help="one value for each condition, once each; default mu_s; none: nothing"),
+    ] = None,
+    prior: Annotated[
+        bool, typer.Option("--prior", help="the set-up's standard errors count as knowledge")
+    ] = False,
+    free_start: Annotated[
+        bool, typer.Option("--free-start", help="a start offset for each recording")
+    ] = False,
+    robust: Annotated[
+        bool, typer.Option("--robust", help="outliers of a table weigh less (Huber)")
+    ] = False,
+    use_data_mass: DataMass = False,
+    skip_bad: SkipBad = False,
+    one_start: Annotated[
+        bool, typer.Option("--one-start", help="search from the set-up's values only")
+    ] = False,
+    profile: Annotated[
+        bool, typer.Option("--profile", help="profile-likelihood intervals too")
+    ] = False,
+    next_push: Annotated[
+        bool, typer.Option("--next-push", help="which push would say most, too")
+    ] = False,
+    out: Out = None,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate a part or rig on measured pushes: parameters, errors, what stays open."""
+    _check_out(out)
+    from difffric import answer_fit as answers
+    from difffric.calibration import fit as calibrate
+    from difffric.data_file import load
+    from difffric.errors import InputError
+    from difffric.recordings import Recordings
+    from difffric.setup_file import read_setup
+
+    answers.check_out(out, setup)
+    rig, loaded = read_setup(setup), load(data, skip_bad=skip_bad)
+    if robust and isinstance(loaded, Recordings):
+        raise InputError(
+            f"--robust: {data}: expected a table; recordings are fitted sample by sample"
+        )
+    chosen = ["mu_s"] if per_condition is None else [x for x in per_condition if x != "none"]
+    with _progress(quiet) as tell:
+        found = calibrate(
+            rig, loaded, free=free or None, per_condition=chosen, priors=prior,
+            free_start=free_start, robust=robust, several_starts=not one_start, tell=tell,
+            use_data_mass=use_data_mass, skip_bad=skip_bad,
+        )  # fmt: skip
+        answer = answers.Answer.of(found, loaded, use_data_mass=use_data_mass, skip_bad=skip_bad)
+        answer = answers.with_more(answer, profile, next_push, tell)
+        tell("drawing", 0.99)
+        report = answers.fit_report(answer, pictures=out is not None)
+        files = None if out is None else {"setup.toml": answers.setup_file_of(found)}
+    _finish(report, answer.as_dict(), out, files)
+
+
+@app.command()
+def identify(
+    data: Data,
+    setup: SetupOption,
+    use_data_mass: DataMass = False,
+    skip_bad: SkipBad = False,
+    out: Out = None,
+    quiet: Quiet = False,
+) -> None:
+    """mu_s of each push from force, distance, (7), the optimal combination, the recording."""
+    _check_out(out)
+    from difffric import answer_identify as answers
+    from difffric.data_file import load
+    from difffric.estimators import identify as estimate
+    from difffric.setup_file import read_setup
+
+    rig, loaded = read_setup(setup), load(data, skip_bad=skip_bad)
+    with _progress(quiet) as tell:
+        found = estimate(rig, loaded, use_data_mass=use_data_mass, skip_bad=skip_bad, tell=tell)
+    answer = answers.identify_answer(found, rig.rig)
+    _finish(answers.identify_report(found, answer, loaded, out is not None), answer, out)
 
 
 @app.command()

@@ -12,6 +12,8 @@ from difffric.local_fit import Stretch
 from difffric.noise import Noise
 from difffric.recordings import Channel
 
+SMOOTHEST = 40
+"""Points that the search smooths over at most: what is longer than a contact hides its end."""
 _SEEN = 6.0  # standard errors that a contact or a jump rises above the noise
 _LEAST_JUMP = 0.04  # of the contact's maximum: a kink looks like a smaller jump
 
@@ -86,7 +88,7 @@ def find_contacts(force: Channel, coarse: Stretch, level: float) -> list[Contact
     width = int(above[np.argmax(_smoothed(f, 8)) :].argmin() or above.sum())
     back = above[: np.argmax(_smoothed(f, 8)) + 1][::-1]
     width += int(back.argmin() or len(back))
-    size = max(1, width // 15)
+    size = min(max(1, width // 15), SMOOTHEST)
     smooth = _smoothed(f, size)
     spread = coarse.noise.level / np.sqrt(coarse.noise.effective(size))
     top = smooth.max()

@@ -1,8 +1,9 @@
-"""Figures for people: the paper's, and the misfit."""
+"""Figures for people: their common style, the paper's, and the misfit."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import Any
 
 import matplotlib
@@ -16,8 +17,9 @@ from difffric.trajectory import Trajectory
 from difffric.units import to_mm, to_mm_min, to_um
 
 COLOURS = {"DRY": "#b4532a", "OILY": "#1f6f8b"}
+_OTHERS = ("#1f6f8b", "#b4532a", "#5b7f3b", "#7a4f9a", "#b08a1e", "#555555")
 _MARKERS = {"DRY": "o", "OILY": "s"}
-_STYLE: Any = {
+STYLE: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
@@ -29,17 +31,26 @@ _STYLE: Any = {
 }
 
 
-def _figure(columns=1, width=6.4, height=4.0, **options) -> tuple[Figure, Any]:
-    with matplotlib.rc_context(_STYLE):
+def colours_of(conditions: Sequence[str]) -> dict[str, str]:
+    """A colour for each condition, in order of appearance; DRY and OILY have their own."""
+    names = list(dict.fromkeys(conditions))
+    taken = {COLOURS[c] for c in names if c in COLOURS}
+    others = cycle([c for c in _OTHERS if c not in taken])
+    return {c: COLOURS[c] if c in COLOURS else next(others) for c in names}
+
+
+def new_figure(columns=1, width=6.4, height=4.0, rows=1, **options) -> tuple[Figure, Any]:
+    """An empty figure [inches] in the style of all, with its axes."""
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
-        axes = figure.subplots(1, columns, **options)
+        axes = figure.subplots(rows, columns, **options)
     return figure, axes
 
 
 def response(trajectories: Mapping[str, Trajectory], what: str) -> Figure:
     """Position (Figure II.3) or contact force (Figure II.4) over time; `what` says which."""
-    with matplotlib.rc_context(_STYLE):
-        figure, ax = _figure()
+    with matplotlib.rc_context(STYLE):
+        figure, ax = new_figure()
         for style, (label, trajectory) in zip(("-", "--"), trajectories.items(), strict=False):
             end = float(trajectory.stop_time)
             t = np.linspace(0, end, 4000)
@@ -65,8 +76,8 @@ def response(trajectories: Mapping[str, Trajectory], what: str) -> Figure:
 def families(family: Family, what: str, measured: Paper | None = None) -> Figure:
     """F_p (Figure II.5) or d (Figure II.6) over speed, one curve a mu_s; dashed, the published
     surrogate (3) or (5)."""
-    with matplotlib.rc_context(_STYLE):
-        figure, ax = _figure()
+    with matplotlib.rc_context(STYLE):
+        figure, ax = new_figure()
         shown = np.unique(np.linspace(0, len(family.mu_s) - 1, 6).round().astype(int))
         v = to_mm_min(family.velocity)
         force = what == "force"
@@ -120,8 +131,8 @@ def residuals(paper: Paper) -> Figure:
         ),
     )
     impossible = p.sliding_distance > bound_on(p)
-    with matplotlib.rc_context(_STYLE):
-        figure, axes = _figure(2, width=9.6)
+    with matplotlib.rc_context(STYLE):
+        figure, axes = new_figure(2, width=9.6)
         for ax, (residual, spread, label) in zip(axes, panels, strict=True):
             ax.axhspan(-spread, spread, color="#999", alpha=0.2, lw=0, label="estimated spread")
             ax.axhline(0, color="#333", lw=0.8)
@@ -151,8 +162,8 @@ def identified(paper: Paper) -> Figure:
         ("by equation (7)", combined, "mu_s_model"),
         ("optimal", combined, "mu_s_optimal"),
     )
-    with matplotlib.rc_context(_STYLE):
-        figure, axes = _figure(4, width=12.0, height=3.6, sharey=True)
+    with matplotlib.rc_context(STYLE):
+        figure, axes = new_figure(4, width=12.0, height=3.6, sharey=True)
         for ax, (title, of, key) in zip(axes, panels, strict=True):
             for shift, condition in zip((-60, 60), CONDITIONS, strict=True):
                 mine = [r for r in of if r["condition"] == condition]

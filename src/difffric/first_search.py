@@ -98,19 +98,18 @@ def _cost(model: NDArray, data: NDArray) -> NDArray:
     return (np.log1p(force**2) * seen[:, 0] + np.log1p(d**2) * seen[:, 1]) @ np.ones(len(data))
 
 
-def _about_the_forces(model: Model, data: FitData, box: list[NDArray]) -> NDArray:
-    """Points from the neighbourhood of the fit of F_p alone."""
+def fit_of_forces(
+    model: Model, data: FitData, box: list[NDArray]
+) -> tuple[Settled, NDArray] | None:
+    """Where F_p alone leads, with k_v as it is, and which parameters that was without; None
+    where the model gives no number."""
     F = measured(data)[:, 0]
     known = (data.group[:, 0] < 0) & (data.weights[:, 0] > 0)
     noise = np.where(known, 1.0 / np.where(known, data.weights[:, 0], 1.0), 0.01 * F)
     sd = np.hypot(_FORCE_ONLY * F, noise)
     weights = np.nan_to_num(np.column_stack([1.0 / sd, np.zeros(data.n)]))
-    forces = replace(
-        data, weights=weights, group=np.full(data.group.shape, -1), counts=np.zeros(0),
-        least=np.zeros(0),
-    )  # fmt: skip
-    layout = model.layout
-    held = np.array([name == "k_v_N_s_per_m" for name in layout.names], bool)
+    forces = replace(data, weights=weights, group=np.full(data.group.shape, -1))
+    held = np.array([name == "k_v_N_s_per_m" for name in model.layout.names], bool)
     scatter = _SCATTER if model.estimate_scatter else model.scatter
     best, costs = None, []
     for theta in box:
@@ -118,16 +117,28 @@ def _about_the_forces(model: Model, data: FitData, box: list[NDArray]) -> NDArra
         end = descend(model, forces, at, held, weights, scatter, 1.0)
         chi2 = float(end.chi2)
         if np.isfinite(chi2) and (best is None or chi2 < min(costs)):
-            best = moved(at, end, held, scatter)
+            best = replace(moved(at, end, held, scatter), weights=weights)
         costs.append(chi2 if np.isfinite(chi2) else np.inf)
         good = sorted(costs)
         if len(good) > 2 and good[1] - good[0] < 0.01 * (1 + good[0]):
             break
-    if best is None:
+    return None if best is None else (best, held)
+
+
+def _about_the_forces(model: Model, data: FitData, box: list[NDArray]) -> NDArray:
+    """Points from the neighbourhood of the fit of F_p alone."""
+    layout = model.layout
+    found = fit_of_forces(model, data, box)
+    if found is None:
         return np.zeros((0, layout.n_free))
+    best, held = found
+    forces = replace(
+        data, weights=best.weights, group=np.full(data.group.shape, -1), counts=np.zeros(0),
+        least=np.zeros(0),
+    )  # fmt: skip
     free = ~held
     linear = linear_at(model, forces, best)
-    X = linear.criterion(scatter, np.zeros(0))[1][np.ix_(free, free)]
+    X = linear.criterion(best.scatter, np.zeros(0))[1][np.ix_(free, free)]
     X = X / _WIDER**2 + np.eye(int(free.sum())) / _WEAK**2
     spread = np.linalg.cholesky(np.linalg.inv(X))
     n = _POOL - len(box)

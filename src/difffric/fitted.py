@@ -104,11 +104,11 @@ class Fit:
         return float(parameters.values(self.rig)[label])
 
     def standard_error(self, label: str, scaled: bool = False) -> float | None:
-        """A free parameter's standard error [SI]; None at a bound. `scaled` by the root of the
+        """A free parameter's standard error [SI]; None at a bound, and where nothing depends on it. `scaled` by the root of the
         reduced chi-square, as where the noise is known up to a factor only."""
-        if label in self.held:
-            return None
         i = self.index(label)
+        if label in self.held or self.covariance[i, i] == 0:
+            return None
         error = abs(slope(self.names[i], self.value(label))) * np.sqrt(self.covariance[i, i])
         return float(error * (np.sqrt(self.reduced_chi2) if scaled else 1.0))
 

@@ -179,7 +179,9 @@ def find_slide(position: Channel, edge: float, begin: float, stop: float, noise:
     i = int(np.searchsorted(stretch.t, edge))
     whole = None
     if len(stretch.t) - i >= 8:
-        whole = fit_window(stretch, i, len(stretch.t), edge, scale, powers(2), lambda s, _: powers(4, 3)(s))
+        whole = fit_window(
+            stretch, i, len(stretch.t), edge, scale, powers(2), lambda s, _: powers(4, 3)(s)
+        )
     mean = (np.nan, np.nan)
     if whole is not None:
         mean = (-2 * whole.coefficients[2] / scale**2, 2 * whole.se(2) / scale**2)

@@ -95,7 +95,14 @@ class LocalFit:
 
 def powers(degree: int, start: int = 0) -> Callable[[NDArray], NDArray]:
     """Columns s^start ... s^degree."""
-    return lambda s: np.vander(s, degree + 1, increasing=True)[:, start:]
+
+    def columns(s: NDArray) -> NDArray:
+        out = np.ones((len(s), degree + 1))
+        for n in range(1, degree + 1):
+            np.multiply(out[:, n - 1], s, out=out[:, n])
+        return out[:, start:]
+
+    return columns
 
 
 def fit_window(stretch: Stretch, lo, hi, centre, scale, design, extra=None) -> LocalFit:
@@ -171,13 +178,14 @@ def _grams(stretch: Stretch, i: int, s: NDArray, columns, left, right) -> NDArra
             row += gram(i - a, i, (s[i - a], np.inf), False)
     behind = np.array([a > 0 for a in left])
     for column, b in zip(np.moveaxis(out, 1, 0), right, strict=True):
-        if b:
-            ends = (-np.inf, s[i + b - 1])
-            for kind in {False, True} if correlated else {False}:
-                chosen = behind == kind if correlated else slice(None)
-                if correlated and not chosen.any():
-                    continue
-                column[chosen] += gram(i, i + b, ends, kind)
+        if not b:
+            continue
+        ends = (-np.inf, s[i + b - 1])
+        if not correlated:
+            column += gram(i, i + b, ends, False)
+            continue
+        for joined in {bool(x) for x in behind}:
+            column[behind == joined] += gram(i, i + b, ends, joined)
     return out
 
 
@@ -223,9 +231,11 @@ def best_window(
     se = np.linalg.norm(np.linalg.solve(r[:, :p, :p].swapaxes(1, 2), unit)[..., 0], axis=1)
     rank = np.where(passed > 0, se / norms[:, of], n)
     chosen = int(np.lexsort((rank, -passed))[0])
-    ends = np.stack(np.broadcast_arrays(i - left[:, None], i + right), -1)[size >= least][chosen]
+    ends = np.broadcast_arrays(i - left[:, None], i + right)
+    lo, hi = (int(e[size >= least][chosen]) for e in ends)
     if passed[chosen]:
-        lo, hi = (int(e) if e in keep else round(i + _SHRINK * (e - i)) for e in ends)
-        if hi - lo >= least:
-            ends = lo, hi
-    return fit_window(stretch, int(ends[0]), int(ends[1]), centre, scale, design, extra)
+        short_lo = lo if lo in keep else i - max(round(_SHRINK * (i - lo)), int(left[0]))
+        short_hi = hi if hi in keep else i + max(round(_SHRINK * (hi - i)), int(right[0]))
+        if short_hi - short_lo >= least:
+            lo, hi = short_lo, short_hi
+    return fit_window(stretch, lo, hi, centre, scale, design, extra)

@@ -57,7 +57,7 @@ class Problem(NamedTuple):
     prior_weight: Array
     """(P,) 1 / standard deviation"""
     starts: Array
-    """(n,) or (0,): 1 where a push has a start offset of its own"""
+    """(n,): 1 where a push has a start offset of its own, else 0"""
     trust: Array
     """(): how far the first step may go: residuals are scaled by it against the damping of 1"""
 

@@ -21,7 +21,7 @@ from difffric.coordinates import LINEAR, to_value
 from difffric.errors import InputError, NumericalError
 from difffric.fit_data import RECORDINGS
 from difffric.fitted import LEVELS, Fit
-from difffric.settling import NOTHING, Settled, descend, linear_at, moved, unstuck
+from difffric.settling import ARRIVED, NOTHING, Settled, descend, linear_at, moved, unstuck
 
 FARTHEST = 7.0
 """How far a side is followed [coordinate: a factor e^7; 70 N s/m of k_v, or some of its error
@@ -30,8 +30,10 @@ _CLOSE = 3e-3
 """A bound is found where the root of the rise is this close to its quantile, relatively."""
 _NARROW = 1e-6
 """A bracket this narrow [coordinate] holds a jump."""
-_MOST = 14
+_MOST = 24
 """Evaluations for one bound."""
+_RESCUES = 6
+"""How often a parameter's path looks for each push's mu_s elsewhere: that takes long."""
 _BETTER = 0.05
 """A fall of chi-square by more than this says that the fit was not at its optimum."""
 
@@ -57,7 +59,7 @@ class Profile:
         """Upper arm over lower arm of the 95 % interval (or the widest closed one); None: open."""
         for level in sorted(self.intervals, key=lambda x: abs(x - 0.95)):
             low, high = self.intervals[level]
-            if low is not None and high is not None and self.value > low:
+            if low is not None and high is not None and low < self.value < high:
                 return (high - self.value) / (self.value - low)
         return None
 
@@ -132,7 +134,8 @@ class _Path:
         self.model, self.data, at = fit.work
         self.j = fit.index(label)
         self.trust = 1e3 if self.data.kind == RECORDINGS else 30.0
-        self.here = float(at.theta[self.j])
+        self.start = float(at.theta[self.j])
+        self.rescues = _RESCUES
         layout = self.model.layout
         self.lower, self.upper = float(layout.lower[self.j]), float(layout.upper[self.j])
         # A damping that runs to zero is held there: chi-square does not depend on it any more.
@@ -144,10 +147,10 @@ class _Path:
         if not np.isfinite(self._chi2(base)):
             raise NumericalError("profile: the misfit is not finite at the fit itself")
         self.base = self._chi2(base)
-        self.found[self.here] = (0.0, base)
+        self.found[self.start] = (self.base, base)
 
     def profile(self, levels: Sequence[float]) -> Profile:
-        intervals = {level: [None, None] for level in levels}
+        intervals: dict[float, list[float | None]] = {level: [None, None] for level in levels}
         reasons: list[str | None] = [None, None]
         for side in (0, 1):
             for level in levels:
@@ -157,11 +160,13 @@ class _Path:
                     reasons[side] = why
                     break
                 intervals[level][side] = self._value(x)
-        lowest = min(rise for rise, _ in self.found.values())
-        note = None
-        if lowest < -_BETTER:
-            note = f"chi-square falls by {-lowest:.3g} along it: the fit is not at its optimum"
-        points = sorted((self._value(x), rise) for x, (rise, _) in self.found.items())
+        fall, note = self.base - self.found[self.here][0], None
+        if fall > _BETTER:
+            note = (
+                f"chi-square falls by {fall:.3g} along it, to {self._value(self.here):.6g}: the "
+                "fit is not at its optimum; the intervals are about the lowest point found"
+            )
+        points = sorted((self._value(x), self._rise(x)) for x in self.found)
         return Profile(
             label=self.label,
             value=self.fit.value(self.label),
@@ -172,6 +177,14 @@ class _Path:
             note=note,
         )
 
+    @property
+    def here(self) -> float:
+        """The lowest point known: the fit, unless it is not at its optimum."""
+        return min(self.found, key=lambda x: (self.found[x][0], x != self.start))
+
+    def _rise(self, x: float) -> float:
+        return self.found[x][0] - self.found[self.here][0]
+
     def _value(self, x: float) -> float:
         if x <= NOTHING and self.label == "b_N_s_per_m":
             return 0.0
@@ -180,63 +193,51 @@ class _Path:
     def _bound(self, sign: int, t: float) -> tuple[float | None, str | None]:
         """Where the root of the rise is t on one side, or why nowhere."""
         error = float(np.sqrt(self.fit.covariance[self.j, self.j]))
-        unit = error if 0 < error < FARTHEST else 0.1
+        step = t * (error if 0 < error < FARTHEST else 0.1)
+        far = max(FARTHEST, 6 * step) if self.fit.names[self.j] in LINEAR else FARTHEST
         end = self.upper if sign > 0 else self.lower
-        limit = max(FARTHEST, 6 * t * unit) if self.fit.names[self.j] in LINEAR else FARTHEST
-        far = self.here + sign * limit
-        end_is_bound = sign * (end - far) <= 0
-        last = end if end_is_bound else far
-        inner, outer = self._bracket(sign, t)
-        step = unit * t
+        last = self.start + sign * far
+        if sign * (end - last) <= 0:
+            last = end
+        width = np.inf
         for _ in range(_MOST):
-            if outer is not None:
-                break
-            if inner == last:
-                return None, self._why_open(last, end_is_bound)
-            x = self._guess(sign, t, inner, inner + sign * step)
-            x = last if sign * (last - x) <= 1e-9 else x
-            self._rise(x)
-            step *= 2
             inner, outer = self._bracket(sign, t)
-        if outer is None:
-            return None, self._why_open(inner, False)
-        for _ in range(_MOST):
-            r_outer = self._root(outer)
+            if outer is None:
+                if sign * (last - inner) <= 0:
+                    return None, self._why_open(inner, last == end)
+                x = self._outwards(sign, t, inner, step)
+                self._evaluate(last if sign * (last - x) <= 1e-9 else x)
+                step *= 2
+                continue
+            r_inner, r_outer = self._root(inner), self._root(outer)
             if abs(r_outer - t) <= _CLOSE * t:
                 return outer, None
-            if inner != self.here and abs(self._root(inner) - t) <= _CLOSE * t:
+            if t - r_inner <= _CLOSE * t:
                 return inner, None
             if abs(outer - inner) < _NARROW:
                 break
-            r_inner = self._root(inner)
             share = (t - r_inner) / (r_outer - r_inner) if np.isfinite(r_outer) else 0.5
-            x = inner + min(max(share, 0.03), 0.97) * (outer - inner)
-            before = (inner, outer)
-            self._rise(x)
-            inner, outer = self._bracket(sign, t)
-            moved_ends = (inner != before[0]) + (outer != before[1])
-            if moved_ends and abs(outer - inner) > 0.5 * abs(before[1] - before[0]):
-                self._rise(0.5 * (inner + outer))  # a kink: halve
-                inner, outer = self._bracket(sign, t)
+            if abs(outer - inner) > 0.5 * width:
+                share = 0.5  # a kink: halve
+            width = abs(outer - inner)
+            self._evaluate(inner + min(max(share, 0.03), 0.97) * (outer - inner))
+        inner, outer = self._bracket(sign, t)
+        if outer is None:
+            return None, self._why_open(inner, False)
         if not np.isfinite(self._root(outer)):
             return None, f"the model cannot be followed beyond {self._value(inner):.4g}"
         return outer, None
 
-    def _guess(self, sign: int, t: float, inner: float, default: float) -> float:
-        """Outwards by the last secant of the root of the rise, if that makes a sensible step."""
-        known = sorted(
-            (x for x in self.found if sign * (x - self.here) >= 0), key=lambda x: sign * x
-        )
+    def _outwards(self, sign: int, t: float, inner: float, step: float) -> float:
+        """The next point out, by the last secant of the root of the rise where there is one."""
+        known = [x for x in self.found if sign * (x - self.here) >= 0 and sign * (inner - x) >= 0]
+        known.sort(key=lambda x: sign * x)
         if len(known) < 2:
-            return default
+            return inner + sign * step
         a, b = known[-2:]
         slope = (self._root(b) - self._root(a)) / abs(b - a)
-        if slope <= 0:
-            return default
-        ahead = (t - self._root(b)) / slope
-        return inner + sign * min(
-            max(1.02 * ahead, 0.1 * abs(default - inner)), 2 * abs(default - inner)
-        )
+        ahead = 1.02 * (t - self._root(b)) / slope if slope > 0 else step
+        return inner + sign * min(max(ahead, 0.1 * step), 2 * step)
 
     def _bracket(self, sign: int, t: float) -> tuple[float, float | None]:
         """The farthest point before the rise is reached, and the next one."""
@@ -250,27 +251,29 @@ class _Path:
         return inner, None
 
     def _root(self, x: float) -> float:
-        return float(np.sqrt(max(self.found[x][0], 0.0)))
+        return float(np.sqrt(max(self._rise(x), 0.0)))
 
     def _why_open(self, x: float, at_bound: bool) -> str:
-        rise = max(self.found[x][0], 0.0)
+        rise = self._rise(x)
         where = (
             f"at its bound {self._value(x):.4g}" if at_bound else f"as far as {self._value(x):.3g}"
         )
         if x == self.here:
-            return f"the fit itself is {where}"
+            return f"the best fit is {where}"
         return f"{where} chi-square has risen by {rise:.3g} only"
 
-    def _rise(self, x: float) -> None:
+    def _evaluate(self, x: float) -> None:
         """Hold the parameter on x and fit everything else, from the nearest point known."""
         near = min(self.found, key=lambda known: abs(known - x))
         _, at = self.found[near]
-        theta = at.theta + self.slopes[0] * (x - near)
+        theta = at.theta + np.where(at.held, 0.0, self.slopes[0]) * (x - near)
         theta[self.j] = x
         ahead = replace(at, theta=theta, s_eta=at.s_eta + self.slopes[1] * (x - near))
         expected = self._expected(x)
         best = self._inside(ahead)
-        if not self._chi2(best) - self.base < 1.5 * expected + 0.5:
+        more = not self._chi2(best) - self.base < 1.5 * expected + 0.5
+        if more and expected > 0 and self.rescues:
+            self.rescues -= 1
             # More than expected: perhaps one push stays on the wrong side of a jump.
             plain = at.theta.copy()
             plain[self.j] = x
@@ -278,27 +281,39 @@ class _Path:
             other = unstuck(self.model, self.data, best)
             if other is not best:
                 best = min(best, self._inside(other), key=self._key)
-        rise = self._chi2(best) - self.base
-        self.found[x] = (rise if np.isfinite(rise) else np.inf, best)
+        self.found[x] = (self._key(best), best)
 
     def _expected(self, x: float) -> float:
         variance = self.fit.covariance[self.j, self.j]
-        return (x - self.here) ** 2 / variance if variance > 0 else 0.0
+        return (x - self.start) ** 2 / variance if variance > 0 else 0.0
 
     def _inside(self, at: Settled) -> Settled:
         """The constrained optimum, the other parameters within their bounds."""
         layout = self.model.layout
-        held = self.gone.copy()
+        held = self.gone | at.held
         held[self.j] = True
-        for _ in range(3):
-            at = self._descend(at, held)
+        for _ in range(4):
             beyond = ((at.theta < layout.lower) | (at.theta > layout.upper)) & ~held
-            if not beyond.any():
-                break
             held = held | beyond
             theta = np.where(beyond, np.clip(at.theta, layout.lower, layout.upper), at.theta)
-            at = replace(at, theta=theta)
+            at = self._descend(replace(at, theta=theta), held)
+            if ((at.theta < layout.lower) | (at.theta > layout.upper))[~held].any():
+                continue
+            released = self._pulled_inside(at, held)
+            if not released.any():
+                break
+            held = held & ~released
         return at
+
+    def _pulled_inside(self, at: Settled, held: NDArray) -> NDArray:
+        """Which parameters held at a bound chi-square would take back inside."""
+        layout = self.model.layout
+        rows = np.asarray(at.end.rows)[: self.data.n] * at.weights[..., None]
+        pull = -np.einsum("nmp,nm->p", rows[..., :-1] @ layout.selection, rows[..., -1])
+        inward = np.where(at.theta <= layout.lower, pull > ARRIVED, pull < -ARRIVED)
+        inward &= held & ~self.gone & (layout.lower < layout.upper)
+        inward[self.j] = False
+        return inward
 
     def _descend(self, at: Settled, held: NDArray) -> Settled:
         scatter = at.scatter

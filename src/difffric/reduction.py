@@ -10,18 +10,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from difffric.contacts import find_contacts
 from difffric.errors import InputError
 from difffric.landmarks import find_peak, find_rest, find_slide, search
-from difffric.noise import Noise, pooled_noise, quiet_before, quiet_noise
+from difffric.noise import LONGEST, Noise, pooled_noise, quiet_before, quiet_noise
 from difffric.pushes import Pushes
-from difffric.recordings import Recording, Recordings
+from difffric.recordings import Channel, Recording, Recordings
 from difffric.release_edge import find_release
 
 WITHOUT_CONTACT = "without contact: the force never rises above its noise"
 NEVER_RESTS = "never comes to rest within the recording"
 RESTS_IN_CONTACT = "rests in contact"
+_SHORT = 1e-5  # a slide [m] so short that a small force at rest says more
 
 
 @dataclass(frozen=True)
@@ -143,7 +145,8 @@ def _with_force(
         if not out.problem:
             reasons.append(RESTS_IN_CONTACT)
         return out
-    release = find_release(force, coarse, last, noise)
+    stop = recording.stroke / recording.velocity
+    release = find_release(force, coarse, last, noise, stop)
     out = replace(out, release_time=release.time, release_time_se=release.time_se)
     if position is None or np.isnan(out.rest_time):
         return out
@@ -153,6 +156,9 @@ def _with_force(
     slide = find_slide(position, release.time, begin, out.rest_time, noise_position)
     if slide is None:
         reasons.append("too few samples between release and rest: no sliding distance")
+        return out
+    if slide.position > out.rest_position - _SHORT and _presses(force, noise, quiet, out.rest_time):
+        reasons.append(f"{RESTS_IN_CONTACT}, or the force's zero has drifted")
         return out
     # x(t) is curved: an error of the release time, of either sign, takes it off the true x.
     delay = release.time_se
@@ -171,6 +177,15 @@ def _with_force(
         deceleration=slide.deceleration,
         deceleration_se=slide.deceleration_se,
     )
+
+
+def _presses(force: Channel, noise: Noise, quiet: NDArray, rest_time: float) -> bool:
+    """Whether the force at rest is above that before the push, however little."""
+    rest = force.between(rest_time, rest_time + LONGEST * force.dt)[1]
+    if len(quiet) < 8 or len(rest) < 8:
+        return False
+    spread = np.hypot(noise.averaged(len(quiet)).level, noise.averaged(len(rest)).level)
+    return bool(np.mean(rest) - np.mean(quiet) > 4 * spread)
 
 
 @dataclass(frozen=True)

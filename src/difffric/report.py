@@ -8,7 +8,8 @@ import json
 import math
 import os
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
@@ -84,6 +85,16 @@ def with_error(value, error, digits: int = 3) -> str:
     )
 
 
+def rounded(value, error) -> tuple[str, str]:
+    """A value and its standard error, to two digits of the error; a dash for none."""
+    if value is None or not math.isfinite(value):
+        return "–", "–"
+    if error is None or not math.isfinite(error) or error <= 0:
+        return number(value, 6), "–"
+    places = max(0, 1 - math.floor(math.log10(error)))
+    return f"{value:.{places}f}", f"{error:.{places}f}"
+
+
 def plain(answer):
     """The answer as JSON can hold it: Python's own types, null for what is not a number."""
     if isinstance(answer, Mapping):
@@ -120,28 +131,49 @@ def _png(figure: Figure, dpi: int) -> bytes:
 
 
 def writable(folder: str | os.PathLike) -> Path:
-    """The folder, made if need be; `InputError` where it cannot be written to."""
+    """The folder; `InputError` where it cannot be written to, or cannot be made.
+
+    Nothing is left behind: a folder that is not there yet is made by `folder_for`.
+    """
     path = Path(folder)
+    there = next(p for p in (path, *path.absolute().parents) if p.exists())
     try:
-        path.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path):
+        with tempfile.NamedTemporaryFile(dir=there):
             pass
     except OSError as error:
         raise InputError(f"{path}: cannot write here ({error.strerror}); give --out DIR") from error
     return path
 
 
-def write(folder: str | os.PathLike, answer, report: Report) -> Path:
-    """Write result.json, report.html and the figures; all of them or none."""
+@contextmanager
+def folder_for(folder: str | os.PathLike) -> Iterator[Path]:
+    """The folder, made if need be; made for nothing, it goes again."""
     path = writable(folder)
-    files = {
+    missing = [p for p in (path, *path.parents) if not p.exists()]
+    path.mkdir(parents=True, exist_ok=True)
+    try:
+        yield path
+    except BaseException:
+        for made in missing:
+            with suppress(OSError):  # it holds something after all
+                made.rmdir()
+        raise
+
+
+def write(
+    folder: str | os.PathLike, answer, report: Report, files: Mapping[str, bytes] | None = None
+) -> Path:
+    """Write result.json, report.html, the figures and other `files`; all of them or none."""
+    contents = {
+        **(files or {}),
         "result.json": (json.dumps(plain(answer), indent=1, allow_nan=False) + "\n").encode(),
         "report.html": render(report).encode(),
         **{f"{p.name}.png": _png(p.figure, 150) for p in report.pictures},
     }
-    with tempfile.TemporaryDirectory(dir=path, prefix=".writing-") as staging:
-        for name, content in files.items():
-            (Path(staging) / name).write_bytes(content)
-        for name in files:
-            os.replace(Path(staging) / name, path / name)
-    return path
+    with folder_for(folder) as path:
+        with tempfile.TemporaryDirectory(dir=path, prefix=".writing-") as staging:
+            for name, content in contents.items():
+                (Path(staging) / name).write_bytes(content)
+            for name in contents:
+                os.replace(Path(staging) / name, path / name)
+        return path

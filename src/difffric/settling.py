@@ -68,7 +68,7 @@ class Settled:
     s_eta: NDArray
     """(n,) log mu_s of each push beyond the shared value"""
     start: NDArray
-    """(n,) start offsets in coordinates, or (0,)"""
+    """(n,) start offsets in coordinates; 0 where they are not free"""
     scatter: float
     spreads: NDArray
     components: Components
@@ -92,7 +92,7 @@ def first_point(model: Model, data: FitData, theta: NDArray) -> Settled:
         theta=np.asarray(theta, float),
         held=np.zeros(P, bool),
         s_eta=np.zeros(n),
-        start=np.zeros(n if model.free_start else 0),
+        start=np.zeros(n),
         scatter=model.scatter,
         spreads=data.guess,
         components=nothing,
@@ -115,8 +115,8 @@ def problem_of(model: Model, data: FitData, held, theta, scatter, weights, trust
     prior, prior_weight = np.zeros(size), np.zeros(size)
     prior[:P] = model.layout.start
     prior_weight[:P] = np.where(held, 0.0, 1.0 / model.layout.prior_sd)
-    starts = np.zeros(whole if model.free_start else 0)
-    starts[:n] = 1.0
+    starts = np.zeros(whole)
+    starts[:n] = float(model.free_start)
     return Problem(
         rig=parameters.as_arrays(model.rig),
         integrator=model.integrator,
@@ -142,7 +142,7 @@ def descend(
     eta = np.zeros(problem.weights.shape[0])
     eta[: data.n] = at.s_eta / scatter if scatter > 0 else 0.0
     start = np.zeros(problem.starts.shape[0])
-    start[: data.n if model.free_start else 0] = at.start
+    start[: data.n] = at.start
     point = Point(jnp.asarray(theta), jnp.asarray(eta), jnp.asarray(start))
     return minimise(problem, point, jnp.asarray(steps))
 
@@ -326,6 +326,6 @@ def _leaving(model: Model, data: FitData, at: Settled) -> NDArray:
     return at.held & inward & (layout.lower < layout.upper)
 
 
-def start_offsets(at: Settled, n: int) -> NDArray:
+def start_offsets(at: Settled) -> NDArray:
     """Each push's start offset [s]; 0 where it was not free."""
-    return LINEAR[START] * at.start if len(at.start) else np.zeros(n)
+    return LINEAR[START] * at.start

@@ -55,9 +55,9 @@ def undetermined(
     C = np.asarray(covariance, float) / np.outer(scale, scale)
     error = np.sqrt(np.diag(C))
     out = []
-    for j in np.flatnonzero(error == 0):
+    for j in np.flatnonzero(error == 0).tolist():
         out.append(_entry([labels[j]], "flat: the data do not depend on it"))
-    seen = np.flatnonzero(error > 0)
+    seen = np.flatnonzero(error > 0).tolist()
     left = [j for j in seen if error[j] >= 1]
     alone = _alone(C[np.ix_(seen, seen)])
     for j, own in zip(seen, alone, strict=True):
@@ -74,13 +74,13 @@ def undetermined(
         first = left[p]
         members = [first] + [
             left[i]
-            for i in np.argsort(-np.abs(direction))
+            for i in np.argsort(-np.abs(direction)).tolist()
             if i != p and abs(direction[i]) * error[first] >= 1 and abs(direction[i]) > _PART
         ]
         # What the open ones take along, though it is determined itself.
         along = [j for j in seen if j not in left]
-        moves = {left[i]: w for i, w in enumerate(direction)}
-        moves |= {j: C[j, first] / C[first, first] for j in along}
+        moves = {left[i]: w for i, w in enumerate(direction.tolist())}
+        moves |= {j: float(C[j, first] / C[first, first]) for j in along}
         covered |= set(members)
         out.append(
             _entry([labels[j] for j in members], _traded(first, moves, labels, names, scale))
@@ -88,7 +88,7 @@ def undetermined(
     for j in left:
         if j not in covered:
             first = left[int(np.argmax(np.abs(C[j, left]) * (np.array(left) != j)))]
-            moves = {j: 1.0, first: C[first, j] / C[j, j]}
+            moves = {j: 1.0, first: float(C[first, j] / C[j, j])}
             out.append(_entry([labels[j]], _traded(j, moves, labels, names, scale)))
     return out
 
