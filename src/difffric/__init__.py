@@ -23,11 +23,14 @@ _HOME = {
     "ViscousCoulomb": "friction",
     "family": "families",
     "fit": "calibration",
+    "identifiable": "identifiability",
     "identify": "estimators",
     "invert": "inversion",
     "load": "data_file",
     "load_setup": "setup_file",
+    "next_push": "optimal_push",
     "observe": "observables",
+    "profile": "profiles",
     "regime_margin": "derivatives",
     "sensitivity": "derivatives",
     "simulate": "trajectory",
@@ -51,9 +54,12 @@ if TYPE_CHECKING:
     from difffric.families import family as family
     from difffric.friction import AbstractFriction as AbstractFriction
     from difffric.friction import ViscousCoulomb as ViscousCoulomb
+    from difffric.identifiability import identifiable as identifiable
     from difffric.integrate import Diffrax as Diffrax
     from difffric.inversion import invert as invert
     from difffric.observables import observe as observe
+    from difffric.optimal_push import next_push as next_push
+    from difffric.profiles import profile as profile
     from difffric.pusher import ConstantSpeed as ConstantSpeed
     from difffric.pushes import Pushes as Pushes
     from difffric.recordings import Recording as Recording

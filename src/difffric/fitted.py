@@ -104,8 +104,9 @@ class Fit:
         return float(parameters.values(self.rig)[label])
 
     def standard_error(self, label: str, scaled: bool = False) -> float | None:
-        """A free parameter's standard error [SI]; None at a bound, and where nothing depends on it. `scaled` by the root of the
-        reduced chi-square, as where the noise is known up to a factor only."""
+        """A free parameter's standard error [SI]; None at a bound, and where nothing depends on
+        it. `scaled` by the root of the reduced chi-square, as where the noise is known up to a
+        factor only."""
         i = self.index(label)
         if label in self.held or self.covariance[i, i] == 0:
             return None

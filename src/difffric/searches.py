@@ -1,0 +1,134 @@
+"""Several starts, what becomes of each, and the best: how a fit finds its optimum."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.coordinates import Layout
+from difffric.errors import NumericalError
+from difffric.first_search import other_branches, ranked_starts
+from difffric.fit_data import TABLE, FitData
+from difffric.settling import (
+    ARRIVED,
+    Model,
+    Settled,
+    descend,
+    first_point,
+    moved,
+    settle,
+    unstuck,
+)
+
+Tell = Callable[[str, float], None]
+Ends = list[tuple[float, Settled, int]]
+"""Different ends of a search, the best first: chi-square, point, how many starts lead there."""
+
+FACTORS = {"k_N_per_m": 3.0, "b_N_s_per_m": 3.0, "mu_s": 2.0}
+"""How far off a rough guess may be: a fit starts there too."""
+REFINED = 3
+"""How many different ends of the first search are followed to the end."""
+ALIKE = 1e-2
+"""Ends whose chi-squares differ by less than this are one."""
+_DESCENTS = 9
+"""Starts from which a first search descends."""
+_FIRST_STEPS = 25
+_WORTH = 5.0
+"""Ends whose chi-square is this many times the best one's are not followed."""
+_BRANCHINGS = 3
+_LOOSE_SCATTER = 0.05
+
+
+def box_of_starts(layout: Layout, several: bool = True) -> list[NDArray]:
+    """The set-up's own values, and a grid about its stiffness, damping and friction."""
+    own = np.clip(layout.start, layout.lower, layout.upper)
+    if not several:
+        return [own]
+    axes = []
+    for name, factor in FACTORS.items():
+        shift = np.array([x == name for x in layout.names], float) * np.log(factor)
+        if shift.any():
+            axes.append([s * shift for s in (-1, 0, 1)])
+    grid = [own + sum(shifts) for shifts in product(*axes)]
+    inside = [np.clip(x, layout.lower, layout.upper) for x in grid]
+    return [own, *(x for x in inside if not np.array_equal(x, own))]
+
+
+def first_search(model: Model, data: FitData, box: list[NDArray], tell: Tell) -> Ends:
+    """Where the starts lead with some per cent of tolerance."""
+    if len(box) > 1 and data.kind == TABLE:
+        tell("looking for starts", 0.0)
+        box = ranked_starts(model, data, box, _DESCENTS)
+    return descents(model, data, box, tell)
+
+
+def descents(model: Model, data: FitData, starts: list[NDArray], tell: Tell) -> Ends:
+    """Where descents from `starts` end. Raises `NumericalError` where none is finite."""
+    layout = model.layout
+    rough = replace(data, weights=data.rough, group=np.full(data.group.shape, -1))
+    scatter = max(model.scatter, _LOOSE_SCATTER) if model.estimate_scatter else model.scatter
+    ends: list[tuple[float, Settled]] = []
+    for i, theta in enumerate(starts):
+        tell(f"start {i + 1} of {len(starts)}", 0.1 + 0.3 * i / len(starts))
+        at = first_point(model, data, theta)
+        end = descend(model, rough, at, at.held, rough.weights, scatter, 1.0, _FIRST_STEPS)
+        if np.isfinite(float(end.chi2)):
+            at = moved(at, end, at.held, scatter)
+            ends.append(
+                (float(end.chi2), replace(at, theta=np.clip(at.theta, layout.lower, layout.upper)))
+            )
+    if not ends:
+        raise NumericalError("fit: no start gives a finite misfit")
+    ends.sort(key=lambda x: x[0])
+    distinct: Ends = []
+    for chi2, at in ends:
+        if distinct and chi2 - distinct[-1][0] < ALIKE * (1 + chi2):
+            distinct[-1] = (*distinct[-1][:2], distinct[-1][2] + 1)
+        else:
+            distinct.append((chi2, at, 1))
+    return distinct
+
+
+def best_fit(
+    model: Model, data: FitData, box: list[NDArray], tell: Tell
+) -> tuple[Settled, tuple[int, int]]:
+    """The best of the fits settled from several starts, and how many of how many lead to it.
+
+    Raises `NumericalError` where none is finite.
+    """
+    distinct = first_search(model, data, box, tell)
+    settled: list[tuple[float, Settled, int]] = []
+    worth = _WORTH * (distinct[0][0] + data.samples)
+    for i, (chi2, at, count) in enumerate(distinct[:REFINED]):
+        if chi2 > worth:
+            break
+        tell("settling", 0.4 + 0.15 * i)
+        try:
+            done = settle(model, data, replace(at, scatter=max(at.scatter, model.scatter)))
+            if data.kind == TABLE:
+                done = _on_the_best_branches(model, data, done)
+        except NumericalError:
+            continue
+        settled.append((done.components.criterion, done, count))
+    if not settled:
+        raise NumericalError("fit: the misfit is not finite wherever the search led")
+    settled.sort(key=lambda x: x[0])
+    reached = sum(count for c, _, count in settled if c - settled[0][0] < ALIKE)
+    return settled[0][1], (reached, sum(n for *_, n in distinct))
+
+
+def _on_the_best_branches(model: Model, data: FitData, done: Settled) -> Settled:
+    """The fit once every push's own mu_s is on the branch that fits it best."""
+    for _ in range(_BRANCHINGS):
+        other = unstuck(model, data, done, other_branches(model, data, done))
+        if other is done:
+            break
+        again = settle(model, data, other)
+        if again.components.criterion > done.components.criterion - ARRIVED:
+            break
+        done = again
+    return done
