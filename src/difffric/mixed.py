@@ -179,7 +179,8 @@ class Components(NamedTuple):
     chi2: float
     """r' V^-1 r at the shared parameters"""
     criterion: float
-    """-2 times the restricted log-likelihood"""
+    """-2 times the restricted log-likelihood at the point itself: at a jump of the model the
+    step that the linearisation promises is not to be had"""
     relative_errors: NDArray
     """relative standard errors of the scatter (NaN: not estimated) and of the spreads"""
 
@@ -293,7 +294,7 @@ def components(
         step=-covariance @ Xr,
         gain=float(Xr @ covariance @ Xr),
         chi2=float(rr),
-        criterion=float(criterion),
+        criterion=float(criterion + Xr @ covariance @ Xr),
         relative_errors=relative if estimate else np.array([np.nan, *relative]),
     )
 

@@ -15,7 +15,7 @@ from difffric.first_search import fit_of_forces
 from difffric.fit_data import FitData, sensor_errors, table_data, traces_data
 from difffric.reduction import Reduction
 from difffric.searches import ALIKE, FACTORS, REFINED, Tell, descents, first_search
-from difffric.settling import ROUNDS, Model, Settled, descend, first_point, settle
+from difffric.settling import ROUNDS, Model, Settled, descend, first_point, settle, unstuck
 
 _LOOSE = 1e-5
 """How far a distance may be off [m] where it only leads to a start."""
@@ -25,6 +25,8 @@ _TRUST = 1e3
 _GUARD = 2e-5
 """How far a free start may move a jump [s]: samples that near are left out."""
 _LAST_ROUNDS = 4
+_POOR = 1.5
+"""A push whose chi-square per sample is above this may have its mu_s on a wrong branch."""
 
 
 @dataclass(frozen=True)
@@ -133,10 +135,18 @@ class SampleSearch:
             elif jumps is None:
                 at = replace(fresh, s_eta=at.s_eta)
             at = settle(model, data, at, trust=_TRUST, rounds=rounds)
+            if jumps is None and (_misfit(data, at) > _POOR).any():
+                at = settle(model, data, unstuck(model, data, at), trust=_TRUST)
             new = np.asarray(at.end.jumps)[: data.n]
             if rounds <= _LAST_ROUNDS or (jumps is not None and _same(jumps, new)):
                 return model, data, at
             jumps, rounds = new, rounds // 2
+
+
+def _misfit(data: FitData, at: Settled) -> NDArray:
+    """(n,) each push's chi-square per sample."""
+    rows = at.weights * np.asarray(at.end.rows)[: data.n, :, -1]
+    return np.sum(rows**2, axis=1) / data.samples_of
 
 
 def _same(old: NDArray, new: NDArray) -> bool:

@@ -41,6 +41,8 @@ _WORTH = 5.0
 """Ends whose chi-square is this many times the best one's are not followed."""
 _BRANCHINGS = 3
 _LOOSE_SCATTER = 0.05
+_COOLER = 0.3
+_LEAST_ANNEALED = 2e-3
 
 
 def box_of_starts(layout: Layout, several: bool = True) -> list[NDArray]:
@@ -110,7 +112,7 @@ def best_fit(
         try:
             done = settle(model, data, replace(at, scatter=max(at.scatter, model.scatter)))
             if data.kind == TABLE:
-                done = _on_the_best_branches(model, data, done)
+                done = _annealed(model, data, _on_the_best_branches(model, data, done))
         except NumericalError:
             continue
         settled.append((done.components.criterion, done, count))
@@ -132,3 +134,18 @@ def _on_the_best_branches(model: Model, data: FitData, done: Settled) -> Settled
             break
         done = again
     return done
+
+
+def _annealed(model: Model, data: FitData, done: Settled) -> Settled:
+    """The fit, or a better one that a smaller scatter leads to: too large a scatter, which
+    wrong branches bring about, makes them cheap."""
+    if not model.estimate_scatter or done.scatter < _LEAST_ANNEALED:
+        return done
+    scatter = _COOLER * done.scatter
+    at = replace(done, scatter=scatter)
+    for _ in range(2):
+        end = descend(model, data, at, at.held, at.weights, scatter, 30.0)
+        at = moved(at, end, at.held, scatter)
+        at = unstuck(model, data, at, other_branches(model, data, at))
+    again = _on_the_best_branches(model, data, settle(model, data, at))
+    return min(done, again, key=lambda x: x.components.criterion)
