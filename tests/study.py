@@ -171,9 +171,8 @@ def found(fit, label: str) -> dict:
 
 
 def misfit(settled) -> float:
-    """-2 times the restricted log-likelihood where it stands: without the gain of a last step,
-    which a fit at a jump cannot take."""
-    return float(settled.components.criterion + settled.components.gain)
+    """-2 times the restricted log-likelihood where it stands."""
+    return float(settled.components.criterion)
 
 
 def apart(fit, other) -> float:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import re
 import sys
+from contextlib import nullcontext, redirect_stdout
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,12 +15,12 @@ import numpy as np
 import pytest
 
 import difffric as df
-from difffric import cli
+from difffric import cli, parameters
 from difffric.answer_identify import summary_of
 from difffric.estimates import NONE, Estimate, Identified, PushFriction
 from difffric.recordings import Channel
 from difffric.report import rounded, writable
-from difffric.setup_file import read_setup
+from difffric.setup_file import Extras, Setup, read_setup
 from difffric.tdms_writer import write_recordings
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -43,9 +45,11 @@ def _runner(monkeypatch, capture=None):
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["difffric", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stop:
+        out = StringIO()
+        catch = nullcontext() if capture else redirect_stdout(out)
+        with pytest.raises(SystemExit) as stop, catch:
             cli.main()
-        said = capture.readouterr() if capture else ("", "")
+        said = capture.readouterr() if capture else (out.getvalue(), "")
         return Done(int(stop.value.code or 0), *said)
 
     return run
@@ -60,8 +64,8 @@ def _answer(folder: Path) -> dict:
 
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory) -> dict[str, Path]:
-    """Folders: fits of the recordings and of the table, which has every extra; the table
-    identified with its own fit."""
+    """Folders: fits of the recordings and of the table, which has every extra, what both said
+    on the console beside them; the table identified with its own fit."""
     with pytest.MonkeyPatch.context() as patch:
         run = _runner(patch)
         folders = {x: tmp_path_factory.mktemp(x) / "new" / "fit" for x in ("tdms", "csv")}
@@ -69,6 +73,8 @@ def fitted(tmp_path_factory) -> dict[str, Path]:
         more = ("--profile", "--next-push", "--out", folders["csv"], "--quiet")
         extra = run("fit", CSV, "--setup", SETUP, *more)
         assert plain.code == extra.code == 0
+        for kind, done in (("tdms", plain), ("csv", extra)):
+            (folders[kind].parent / "said").write_text(done.out)
         folders["identified"] = tmp_path_factory.mktemp("identified") / "out"
         with_it = ("--setup", folders["csv"] / "setup.toml", "--out", folders["identified"])
         assert run("identify", CSV, *with_it, "--quiet").code == 0
@@ -133,6 +139,16 @@ def test_extras_are_written_where_they_are_asked_for(fitted):
     assert all(after[x] < before[x] for x in before)
 
 
+def test_the_next_push_is_said_where_it_is_typed(fitted):
+    """On the console, not in the report alone: speed, mass and condition."""
+    best = _answer(fitted["csv"])["next_push"]
+    said = " ".join((fitted["csv"].parent / "said").read_text().split())
+    speed = f"{60e3 * best['velocity_m_per_s']:.0f} mm/min"
+    words = f"Next push: {speed} with {best['mass_kg']:.4g} kg, {best['condition']}, would say"
+    assert words in said
+    assert "Next push" not in (fitted["tdms"].parent / "said").read_text()
+
+
 def test_the_folder_holds_the_page_the_figures_and_the_set_up(fitted):
     always = {"result.json", "report.html", "setup.toml", "pushes.png", "mu_s.png"}
     always |= {"correlations.png"}
@@ -141,6 +157,36 @@ def test_the_folder_holds_the_page_the_figures_and_the_set_up(fitted):
     page = (fitted["tdms"] / "report.html").read_text()
     assert page.count("data:image/png;base64") == 4
     assert "http://" not in page and "https://" not in page
+
+
+# Answers that are none
+
+
+@pytest.mark.parametrize(
+    ("scatter_free", "says"), [(True, "a scatter of mu_s of"), (False, "leaves a reduced")]
+)
+def test_distances_of_other_pushes_do_not_converge(scatter_free, says):
+    """With d exchanged between slow and fast pushes the search settles, on nonsense: mu_s
+    scatters without measure, or, where it may not, few starts end on the best of the misfits."""
+    rig = read_setup(SETUP).rig
+    v = np.repeat([0.01, 0.02, 0.04, 0.08], 2)
+    seen = [df.observe(rig, x) for x in v]
+    F, d = (
+        np.array([float(getattr(x, q)) for x in seen]) for q in ("peak_force", "sliding_distance")
+    )
+    errors = {"peak_force_se": np.full(8, 0.5), "sliding_distance_se": np.full(8, 4e-7)}
+    held = {"friction.mu_s_scatter": Extras(free=scatter_free)}
+    setup = Setup(rig, mu_s_scatter=0.02, extras=held)
+
+    def fit(order):
+        return df.fit(setup, df.Pushes(v, F, d[order], **errors))
+
+    wrong = fit([0, 7, 2, 5, 4, 3, 6, 1])
+    assert wrong.work[2].settled and not wrong.converged
+    (note,) = [x for x in wrong.notes if says in x]
+    assert note.startswith("not converged")
+    right = fit(np.arange(8))
+    assert right.converged and not any("not converged" in x for x in right.notes)
 
 
 # The fitted set-up goes into identify
@@ -215,8 +261,8 @@ def test_free_slides_alone(run, tmp_path):
 # The summary of identify
 
 
-def _push(value, error, condition=""):
-    best = NONE if value is None else Estimate(value, error)
+def _push(value, error, condition="", shared=()):
+    best = NONE if value is None else Estimate(value, error, shared)
     return PushFriction(0.05, condition, None, best, NONE, NONE, best, None, (), None, None)
 
 
@@ -238,8 +284,70 @@ def test_the_mean_of_equal_pushes_has_the_textbook_error():
 
 def test_one_push_and_none_have_no_spread():
     of = summary_of(Identified((_push(0.1, 0.002, "A"), _push(None, None, "B"))))
-    assert of["A"] == {"pushes": 1, "mean": 0.1, "standard_error": 0.002, "spread": None}
-    assert of["B"] == {"pushes": 0, "mean": None, "standard_error": None, "spread": None}
+    one, none = (
+        {"standard_error": se, "calibration_standard_error": shared, "spread": None}
+        for se, shared in ((0.002, 0.0), (None, None))
+    )
+    assert of["A"] == {"pushes": 1, "mean": 0.1, **one}
+    assert of["B"] == {"pushes": 0, "mean": None, **none}
+
+
+def test_an_error_that_all_pushes_share_does_not_average_out():
+    def error(*shared):
+        found = (
+            _push(x, None, "A", s) for x, s in zip((0.10, 0.12, 0.14, 0.16), shared, strict=True)
+        )
+        return summary_of(Identified(tuple(found)))["A"]["standard_error"]
+
+    between = np.std([0.10, 0.12, 0.14, 0.16], ddof=1) / 2
+    assert error(*4 * [(0.03, 0.04)]) == pytest.approx(np.hypot(between, 0.05))
+    assert error((0.05,), (-0.05,), (0.05,), (-0.05,)) == pytest.approx(between)
+    assert error((0.06, 0.0), (0.0, 0.06), (0.06, 0.0), (0.0, 0.06)) == pytest.approx(
+        np.hypot(between, 0.06 / np.sqrt(2))
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "error"), [("k_N_per_m", 8e3), ("b_N_s_per_m", 15.0), ("k_v_N_s_per_m", 0.5)]
+)
+def test_the_shared_error_is_the_mean_s_shift_with_the_calibration(name, error):
+    """One standard error of a parameter moves the mean of exact pushes by its shared error."""
+    rig = read_setup(SETUP).rig
+    v = np.array([0.02, 0.03, 0.05, 0.06, 0.08])
+    seen = [df.observe(rig, x) for x in v]
+    F, d = (
+        np.array([float(getattr(x, q)) for x in seen]) for q in ("peak_force", "sliding_distance")
+    )
+    pushes = df.Pushes(v, F, d, peak_force_se=np.full(5, 0.3), sliding_distance_se=np.full(5, 2e-7))
+    value = float(parameters.values(rig)[name])
+
+    def mean(shift, **known):
+        at = parameters.with_values(rig, {name: value + shift * error})
+        return summary_of(df.identify(Setup(at, **known), pushes))[""]
+
+    said, up, down = (
+        mean(x, extras={name: Extras(standard_error=error)}) for x in (0.0, 0.01, -0.01)
+    )
+    shift = abs(up["mean"] - down["mean"]) / 0.02
+    assert said["calibration_standard_error"] == pytest.approx(shift, rel=1e-3)
+    assert said["standard_error"] == pytest.approx(said["calibration_standard_error"])
+    assert mean(0.0)["calibration_standard_error"] == 0
+
+
+def test_the_shared_error_of_free_slides_is_their_mean_s_shift_with_viscosity():
+    setup, slides = read_setup(SETUP), df.load(EXAMPLES / "slides.csv")
+    k_v, error = float(setup.rig.friction.k_v), 0.5
+
+    def means(shift, **known):
+        at = parameters.with_values(setup.rig, {"k_v_N_s_per_m": k_v + shift * error})
+        return summary_of(df.identify(Setup(at, **known), slides))
+
+    extras = {"k_v_N_s_per_m": Extras(standard_error=error)}
+    said, up, down = (means(x, extras=extras) for x in (0.0, 0.01, -0.01))
+    for condition, of in said.items():
+        shift = abs(up[condition]["mean"] - down[condition]["mean"]) / 0.02
+        assert of["calibration_standard_error"] == pytest.approx(shift, rel=0.02)
+        assert of["standard_error"] > of["calibration_standard_error"] > 0
 
 
 @pytest.mark.parametrize(

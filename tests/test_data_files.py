@@ -513,6 +513,19 @@ def test_a_file_cut_off_says_so_and_what_is_whole_is_used_only_where_asked():
     assert list(kept.skipped) == lines
 
 
+def test_a_description_that_the_segment_denies_is_damage():
+    """With its flag cleared it would pass for samples of the channels before it."""
+    one, two = ([group(name), force(name)] for name in ("a", "b"))
+    at, whole = len(tdms(one).read_bytes()), bytearray(tdms(one, two).read_bytes())
+    toc = at + 4
+    assert whole[at:toc] == b"TDSm" and whole[toc] & 0b10
+    whole[toc] ^= 0b10
+    Path("pushes.tdms").write_bytes(whole)
+    lines = problems(read_recordings, "pushes.tdms")
+    assert f"the segment at byte {at}: a description of " in lines[0]
+    assert "bytes, flagged as none" in lines[0]
+
+
 @pytest.mark.parametrize(
     ("content", "expected"),
     [

@@ -12,16 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric import figures_fit
-from difffric.data_checks import checked_data
 from difffric.errors import InputError
 from difffric.fitted import Fit
 from difffric.fitted_curves import FittedPushes, chi2_per_sample, fitted_pushes, fitted_trace
 from difffric.optimal_push import NextPush, next_push
 from difffric.profiles import Profile
 from difffric.profiles import profile as profiled
-from difffric.pushes import Pushes
-from difffric.recordings import Recordings
-from difffric.reduction import reduce_recordings
 from difffric.report import Picture, Report, Section, Table, number, rounded
 from difffric.setup_file import write_setup
 from difffric.units import to_mm_min, to_um
@@ -50,17 +46,10 @@ class Answer:
     """why there is none, where it was asked for"""
 
     @classmethod
-    def of(cls, fit: Fit, data: Pushes | Recordings, *, use_data_mass: bool, skip_bad: bool):
-        """The fit beside the data it came from, with the same pushes left out."""
-        rig = fit.setup.rig if fit.setup is not None else fit.rig
-        names: tuple[str, ...] = ()
-        if isinstance(data, Recordings):
-            data = checked_data(data, rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
-            reduction = reduce_recordings(data, skip_bad=skip_bad)
-            pushes, names = reduction.pushes, tuple(r.name for r in reduction.recordings)
-        else:
-            pushes = checked_data(data, rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
-        return cls(fit, fitted_pushes(fit, pushes), order_of(pushes.order), names)
+    def of(cls, fit: Fit) -> Answer:
+        """The fit beside the pushes that it was fitted to."""
+        assert fit.pushes is not None
+        return cls(fit, fitted_pushes(fit, fit.pushes), order_of(fit.pushes.order), fit.push_names)
 
     def as_dict(self) -> dict:
         """As result.json holds it: what the fit gives, and more of each push."""
@@ -156,7 +145,7 @@ def fit_report(answer: Answer, pictures: bool) -> Report:
     if fit.skipped:
         rows = [[line] for line in fit.skipped]
         sections.append(Section("Skipped", (), [Table("What was left out, and why", ("",), rows)]))
-    return Report("Calibration", _summary(fit), sections)
+    return Report("Calibration", [*_summary(fit), *_next_in_words(answer)], sections)
 
 
 def _summary(fit: Fit) -> list[str]:
@@ -346,16 +335,23 @@ def _profile_section(answer: Answer, pictures: bool) -> Section:
     return Section("Profile-likelihood intervals", text, [Table("Intervals", columns, rows)], drawn)
 
 
-def _next_section(answer: Answer) -> Section:
+def _next_in_words(answer: Answer) -> list[str]:
     best = answer.next_push
     if best is None:
-        return Section("Next push", (f"None: {answer.no_next_push}",))
-    text = [
-        f"{to_mm_min(best.velocity):.0f} mm/min with {best.mass:.4g} kg {best.condition} would "
+        return [f"Next push: none: {answer.no_next_push}."] if answer.no_next_push else []
+    which = f", {best.condition}," if best.condition else ""
+    return [
+        f"Next push: {to_mm_min(best.velocity):.0f} mm/min with {best.mass:.4g} kg{which} would "
         f"say most of all parameters together: expected F_p {best.peak_force:.4g} N, "
-        f"d {to_um(best.sliding_distance):.4g} µm.",
-        *(f"Note: {note}." for note in best.notes),
+        f"d {to_um(best.sliding_distance):.4g} µm."
     ]
+
+
+def _next_section(answer: Answer) -> Section:
+    best, text = answer.next_push, _next_in_words(answer)
+    if best is None:
+        return Section("Next push", text)
+    text += [f"Note: {note}." for note in best.notes]
     rows = [[x, number(se, 3), number(best.after[x], 3)] for x, se in best.before.items()]
     table = Table("Next push: standard errors [SI]", ("", "now", "with this push"), rows)
     return Section("Next push", text, [table])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,8 +21,9 @@ def summary_of(found: Identified) -> dict[str, dict]:
     """Condition -> mean of its pushes' best mu_s, its standard error, and their spread.
 
     The spread s is the relative sample standard deviation: scatter and noise together. The mean
-    weighs each push by 1 / (error^2 + (s mean)^2), and its standard error follows from how the
-    pushes differ: an error of the calibration, which they share, is not in it.
+    weighs each push by 1 / (error^2 + (s mean)^2). Its standard error has two parts, added as
+    squares: how the pushes differ, and the error of the calibration, which they share and which
+    no number of pushes makes smaller (also by itself, `calibration_standard_error`).
     """
     out = {}
     for condition in dict.fromkeys(p.condition for p in found):
@@ -32,7 +35,12 @@ def summary_of(found: Identified) -> dict[str, dict]:
 def _mean(best: list[Estimate]) -> dict:
     if len(best) < 2:
         one = best[0] if best else NONE
-        return {"mean": one.value, "standard_error": one.standard_error, "spread": None}
+        return {
+            "mean": one.value,
+            "standard_error": one.standard_error,
+            "calibration_standard_error": _norm(one.shared) if best else None,
+            "spread": None,
+        }
     value = np.array([x.value for x in best], float)
     error = np.array([x.standard_error or 0.0 for x in best])
     n, spread = len(value), float(np.std(value, ddof=1))
@@ -40,8 +48,21 @@ def _mean(best: list[Estimate]) -> dict:
     w = 1.0 / variance if spread > 0 else np.ones(n)
     w /= w.sum()
     mean = float(w @ value)
-    se = float(np.sqrt(w**2 @ (value - mean) ** 2 * n / (n - 1)))
-    return {"mean": mean, "standard_error": se, "spread": spread / mean}
+    between = float(np.sqrt(w**2 @ (value - mean) ** 2 * n / (n - 1)))
+    shared = np.zeros(max(len(x.shared) for x in best))
+    for one, weight in zip(best, w, strict=True):
+        shared[: len(one.shared)] += weight * np.array(one.shared)
+    calibration = _norm(shared)
+    return {
+        "mean": mean,
+        "standard_error": math.hypot(between, calibration),
+        "calibration_standard_error": calibration,
+        "spread": spread / mean,
+    }
+
+
+def _norm(shared) -> float:
+    return float(np.linalg.norm(shared))
 
 
 def identify_answer(found: Identified, rig: Rig) -> dict:
@@ -88,8 +109,8 @@ def identify_report(
     text = (
         "The best estimate is from the whole recording where there is one, else the optimal "
         "combination of force and distance, else the free slide. A push's standard error carries "
-        "the calibration's; that of a condition's mean comes from how its pushes differ, and an "
-        "error of the calibration, common to all, comes on top.",
+        "the calibration's; that of a condition's mean comes from how its pushes differ and from "
+        "the calibration's error, which they share.",
     )
     sections = [Section("Pushes", text, [_pushes(found, velocity), _conditions(answer)], drawn)]
     if found.skipped:

@@ -297,7 +297,7 @@ def fit(
             free_start=free_start, robust=robust, several_starts=not one_start, tell=tell,
             use_data_mass=use_data_mass, skip_bad=skip_bad,
         )  # fmt: skip
-        answer = answers.Answer.of(found, loaded, use_data_mass=use_data_mass, skip_bad=skip_bad)
+        answer = answers.Answer.of(found)
         answer = answers.with_more(answer, profile, next_push, tell)
         tell("drawing", 0.99)
         report = answers.fit_report(answer, pictures=out is not None)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import overload
 
 import numpy as np
@@ -21,6 +21,9 @@ class Estimate:
 
     value: float | None
     standard_error: float | None = None
+    shared: tuple[float, ...] = field(default=(), repr=False)
+    """the calibration's part of the standard error, along axes that are the same for all pushes
+    of a condition: two of them have the inner product of theirs as covariance"""
 
     def as_dict(self) -> dict | None:
         """As `result.json` holds it."""

@@ -122,7 +122,7 @@ def identify(
         own = jnp.array([float(parameters.values(r)[name]) for r, _ in of])
         if name != "mass_kg":
             rigs = parameters.with_values(rigs, {name: own})
-    covariances = np.stack([c for _, c in of])
+    roots = np.stack([_root(c) for _, c in of])
     if pushes.free_slides:
         answers = [
             PushFriction(np.nan, c, None, NONE, NONE, NONE, NONE, None, (), None, None)
@@ -131,18 +131,22 @@ def identify(
     else:
         tell("inverting forces and distances", 0.2)
         options = {"bracket": bracket, "integrator": integrator}
-        answers = _inverted(known, rigs, pushes, covariances, range_ratio, options)
-    answers = _with_slides(known, rigs, pushes, covariances, answers)
+        answers = _inverted(known, rigs, pushes, roots, range_ratio, options)
+    answers = _with_slides(known, rigs, pushes, roots, answers)
     if reduction is not None:
         tell("fitting every sample", 0.6)
-        answers = _with_traces(
-            known, [r for r, _ in of], reduction, covariances, answers, integrator
-        )
+        answers = _with_traces(known, [r for r, _ in of], reduction, roots, answers, integrator)
     tell("done", 1.0)
     return Identified(tuple(answers), pushes.skipped)
 
 
-def _inverted(known, rigs, pushes, covariances, range_ratio, options) -> list[PushFriction]:
+def _root(covariance: NDArray) -> NDArray:
+    """R with R R^T the covariance, which may be singular: of a parameter that is held."""
+    variance, axes = np.linalg.eigh(covariance)
+    return axes * np.sqrt(np.maximum(variance, 0.0))
+
+
+def _inverted(known, rigs, pushes, roots, range_ratio, options) -> list[PushFriction]:
     """Force, distance, (7) and the optimum of every push."""
     integrator = options["integrator"]
     if range_ratio is None:
@@ -163,37 +167,40 @@ def _inverted(known, rigs, pushes, covariances, range_ratio, options) -> list[Pu
     ]
     return [
         _combine(
-            pushes, i, force[i], distance[i], (se[0][i], se[1][i]), gradients[i], covariances[i],
+            pushes, i, force[i], distance[i], (se[0][i], se[1][i]), gradients[i], roots[i],
             range_ratio, regimes[i],
         )
         for i in range(len(pushes))
     ]  # fmt: skip
 
 
-def _estimate(value, error) -> Estimate:
+def _estimate(value, error, shared) -> Estimate:
     if not np.isfinite(value):
         return NONE
-    return Estimate(float(value), float(error) if np.isfinite(error) else None)
+    part = tuple(map(float, shared)) if np.isfinite(shared).all() else ()
+    return Estimate(float(value), float(error) if np.isfinite(error) else None, part)
 
 
-def _with_slides(known, rigs, pushes, covariances, answers) -> list[PushFriction]:
+def _with_slides(known, rigs, pushes, roots, answers) -> list[PushFriction]:
     """The answers with what the free slides say, where a release speed was measured."""
     v, d = pushes.release_velocity, pushes.sliding_distance
     if not (np.isfinite(v) & np.isfinite(d)).any() or not rigs.friction.affine:
         return answers
-    k_v_se = 0.0
+    k_v = np.zeros((len(pushes), roots.shape[2]))
     if "k_v_N_s_per_m" in known.names:
-        j = known.names.index("k_v_N_s_per_m")
-        k_v_se = LINEAR["k_v_N_s_per_m"] * np.sqrt(covariances[:, j, j])
+        k_v = LINEAR["k_v_N_s_per_m"] * roots[:, known.names.index("k_v_N_s_per_m")]
     d_se = pushes.sliding_distance_se
     sensor = sensor_errors(known.rig)[1]
     d_se = np.where(np.isnan(d_se), np.nan if sensor is None else sensor, d_se)
     v_se = pushes.release_velocity_se
     v_se = np.where(np.isnan(v_se) & pushes.free_slides, 0.0, v_se)
-    mu, error = slide_friction(rigs, v, v_se, d, d_se, k_v_se)
+    mu, error = slide_friction(rigs, v, v_se, d, d_se, np.linalg.norm(k_v, axis=1))
+    nothing = np.zeros(len(pushes))
+    _, per_k_v = slide_friction(rigs, v, nothing, d, nothing, nothing + 1.0)
+    shared = -per_k_v[:, None] * k_v  # what viscosity takes more, friction takes less
     out = []
     for i, x in enumerate(answers):
-        found, reason = _estimate(mu[i], error[i]), x.reason
+        found, reason = _estimate(mu[i], error[i], shared[i]), x.reason
         if found.value is None and pushes.free_slides:
             reason = "no mu_s gives this distance: k_v alone would stop the part sooner"
             if not (np.isfinite(v[i]) and np.isfinite(d[i])):
@@ -203,19 +210,19 @@ def _with_slides(known, rigs, pushes, covariances, answers) -> list[PushFriction
 
 
 def _with_traces(
-    known, rigs_by_push, reduction: Reduction, covariances, answers, integrator
+    known, rigs_by_push, reduction: Reduction, roots, answers, integrator
 ) -> list[PushFriction]:
     """The answers with what all samples say."""
     guess = np.array([x.mu_s_optimal.value or x.mu_s_force.value or np.nan for x in answers])
     found = trace_friction(rigs_by_push, reduction, guess, integrator)
     every = coordinates.names(known.rig)
     J = found.by_coordinate[:, [every.index(n) for n in known.names]]
-    variance = found.own_variance + np.einsum("ni,nij,nj->n", J, covariances, J)
-    error = found.mu_s * np.sqrt(variance)
+    shared = found.mu_s[:, None] * np.einsum("ni,nij->nj", J, roots)
+    error = np.sqrt(found.mu_s**2 * found.own_variance + np.sum(shared**2, axis=1))
     return [
         replace(
             x,
-            mu_s_trace=_estimate(found.mu_s[i], error[i]),
+            mu_s_trace=_estimate(found.mu_s[i], error[i], shared[i]),
             trace_reduced_chi2=float(found.reduced_chi2[i]),
             name=reduction.recordings[i].name,
         )
@@ -223,24 +230,21 @@ def _with_traces(
     ]
 
 
-def _combine(pushes, i, force, distance, se, gradient, calibrated, range_ratio, regime):
+def _combine(pushes, i, force, distance, se, gradient, root, range_ratio, regime):
     """One push: the two inversions, (7), and generalised least squares on both."""
     pair = (force, distance)
     exists = np.array([x.value is not None for x in pair])
     mu = np.array([np.nan if x.value is None else x.value for x in pair])
     slope = np.array([np.nan if x.slope is None else x.slope for x in pair])
     covariance = np.diag((np.array(se) / slope) ** 2)
-    by_parameter = gradient / slope[:, None]
-    covariance = covariance + by_parameter @ calibrated @ by_parameter.T
-
-    def error(weights):
-        used = weights != 0
-        variance = weights[used] @ covariance[np.ix_(used, used)] @ weights[used]
-        return float(np.sqrt(variance)) if np.isfinite(variance) else None
+    shared = -(gradient / slope[:, None]) @ root
+    covariance = covariance + shared @ shared.T
 
     def estimate(weights):
         used = weights != 0
-        return Estimate(float(weights[used] @ mu[used]), error(weights))
+        w = weights[used]
+        variance = w @ covariance[np.ix_(used, used)] @ w
+        return _estimate(w @ mu[used], np.sqrt(variance), w @ shared[used])
 
     none, reasons = NONE, [x.reason for x in pair if x.reason]
     single = [estimate(np.eye(2)[j]) if exists[j] else none for j in range(2)]

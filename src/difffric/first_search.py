@@ -23,8 +23,9 @@ from difffric.mixed import Point, Problem, coordinates
 from difffric.settling import Model, Settled, descend, first_point, linear_at, moved, problem_of
 from difffric.units import GRAVITY
 
-_BATCH = 256
-_POOL = 3 * _BATCH
+BATCH = 256
+"""Points whose answers are computed by one call."""
+_POOL = 3 * BATCH
 """Points that are ranked; whole batches, so that one compiled program serves."""
 _SCATTER = 0.03
 _FORCE_ONLY = 0.003
@@ -35,6 +36,8 @@ _WEAK = 1.5
 """Standard deviation of the logarithms where F_p says nothing."""
 _LOOSE = np.array([0.03, 0.15])
 """Relative errors of F_p and d at which the rank's cost begins to flatten."""
+_NOWHERE = 1e9
+"""The residual of an answer that does not exist."""
 _VISCOUS = 0.3
 """The largest share of viscosity in the friction at the fastest push that is looked for."""
 
@@ -56,16 +59,16 @@ def _model(problem: Problem, thetas, s_etas):
 
 
 def answers(model: Model, data: FitData, thetas: NDArray, s_etas: NDArray) -> NDArray:
-    """The model's (F_p, d), (batch, n, 2), a batch of `_BATCH` at a time."""
+    """The model's (F_p, d), (batch, n, 2), a batch of `BATCH` at a time."""
     nothing = np.zeros(model.layout.n_free)
     problem = problem_of(model, data, nothing > 0, nothing, 1.0, data.weights, 1.0)
     size, whole = problem.prior.shape[0], problem.weights.shape[0]
     out = []
-    for lo in range(0, len(thetas), _BATCH):
-        theta, s_eta = np.zeros((_BATCH, size)), np.zeros((_BATCH, whole))
-        part = thetas[lo : lo + _BATCH]
+    for lo in range(0, len(thetas), BATCH):
+        theta, s_eta = np.zeros((BATCH, size)), np.zeros((BATCH, whole))
+        part = thetas[lo : lo + BATCH]
         theta[: len(part), : part.shape[1]] = part
-        s_eta[: len(part), : data.n] = s_etas[lo : lo + _BATCH]
+        s_eta[: len(part), : data.n] = s_etas[lo : lo + BATCH]
         out.append(np.asarray(_model(problem, theta, s_eta))[: len(part), : data.n])
     return np.concatenate(out)
 
@@ -76,16 +79,30 @@ def measured(data: FitData) -> NDArray:
     return both if both.shape[1] == 2 else np.column_stack([np.full(data.n, np.nan), both])
 
 
+def residuals(data: FitData, weights: NDArray, found: NDArray) -> NDArray:
+    """(batch, n, m) weighted residuals of answers (batch, n, 2); NaN where the model gives no
+    number for one that was measured."""
+    seen = measured(data)
+    if weights.shape[1] == 1:
+        seen, found = seen[:, 1:], found[..., 1:]
+    return np.where(weights > 0, weights * (seen - found), 0.0)
+
+
+def pool(model: Model, data: FitData, box: list[NDArray]) -> NDArray:
+    """(N, P) points from which a fit may start: those of `box`, and about the fit of F_p."""
+    points = np.array(box)
+    if np.isfinite(measured(data)[:, 0]).sum() > model.layout.n_free:
+        points = np.concatenate([points, _about_the_forces(model, data, box)])
+    return np.clip(points, model.layout.lower, model.layout.upper)
+
+
 def ranked_starts(model: Model, data: FitData, box: list[NDArray], most: int) -> list[NDArray]:
     """At most `most` points to descend from, the most promising first; the first of `box`, the
     set-up itself, is always among them."""
-    pool = np.array(box)
-    if np.isfinite(measured(data)[:, 0]).sum() > model.layout.n_free:
-        pool = np.concatenate([pool, _about_the_forces(model, data, box)])
-    pool = np.clip(pool, model.layout.lower, model.layout.upper)
-    cost = _cost(answers(model, data, pool, np.zeros((len(pool), data.n))), measured(data))
+    points = pool(model, data, box)
+    cost = _cost(answers(model, data, points, np.zeros((len(points), data.n))), measured(data))
     chosen = [*np.argsort(cost, kind="stable")[: most - 1].tolist(), 0]
-    return [pool[i] for i in dict.fromkeys(chosen)]
+    return [points[i] for i in dict.fromkeys(chosen)]
 
 
 def _cost(model: NDArray, data: NDArray) -> NDArray:
@@ -164,14 +181,10 @@ def other_branches(model: Model, data: FitData, at: Settled) -> list[NDArray]:
     grid, each (n,), the shared parameters as they are."""
     scatter = max(at.scatter, 1e-3)
     width = max(0.15, 5 * scatter)
-    grid = np.linspace(-width, width, _BATCH)
+    grid = np.linspace(-width, width, BATCH)
     n = data.n
-    found = answers(model, data, np.tile(at.theta, (_BATCH, 1)), np.tile(grid[:, None], (1, n)))
-    seen = measured(data)
-    reached = np.where(np.isnan(found), 0.0, found)
-    if at.weights.shape[1] == 1:
-        reached, seen = reached[..., 1:], seen[:, 1:]
-    r = at.weights * np.where(np.isnan(seen), 0.0, np.nan_to_num(seen) - reached)
+    found = answers(model, data, np.tile(at.theta, (BATCH, 1)), np.tile(grid[:, None], (1, n)))
+    r = np.nan_to_num(residuals(data, at.weights, found), nan=_NOWHERE)
     cost = np.sum(r**2, axis=2) + (grid[:, None] / scatter) ** 2
     padded = np.pad(cost, ((1, 1), (0, 0)), constant_values=np.inf)
     dip = (padded[1:-1] <= padded[:-2]) & (padded[1:-1] <= padded[2:])

@@ -17,6 +17,10 @@ from difffric.reduction import Reduction
 from difffric.settling import NOTHING, Model, Settled, linear_at, start_offsets
 from difffric.setup_file import Setup
 
+_ABSURD_SCATTER = 0.5
+"""Relative scatter of mu_s beyond which it is no property of a rig: it hides a misfit."""
+_ABSURD_CHI2 = 10.0
+"""Reduced chi-square beyond which an optimum counts only where most starts reach it."""
 _SURPRISING = 3.3
 """Standard deviations of chi-square beyond which a misfit is told (p < 5e-4)."""
 
@@ -48,7 +52,8 @@ def result(
     fitted = int(np.sum(~at.held)) + (n if model.free_start else 0)
     offsets = n if data.kind == RECORDINGS else 0
     freedom = data.samples - fitted - offsets
-    notes = [*notes, *_notes(data, at, freedom, reduction)]
+    absurd = _absurd(model, at, freedom, reached)
+    notes = [*notes, *absurd, *_notes(data, at, freedom, reduction)]
     return Fit(
         rig=parameters.with_values(setup.rig, new),
         kind=data.kind,
@@ -65,7 +70,7 @@ def result(
         spread_distance=spread.get("distance", np.nan),
         chi2=c.chi2,
         degrees_of_freedom=freedom,
-        converged=at.settled,
+        converged=at.settled and not absurd,
         starts_at_optimum=reached,
         conditions=tuple(pushes.condition),
         mu_s=np.exp(log_mu),
@@ -80,7 +85,27 @@ def result(
         skipped=pushes.skipped,
         setup=setup,
         work=(model, data, at),
+        pushes=pushes,
+        push_names=() if reduction is None else tuple(r.name for r in reduction.recordings),
     )
+
+
+def _absurd(model: Model, at: Settled, freedom: int, reached: tuple[int, int]) -> list[str]:
+    """Why where the search settled is no answer, though it settled."""
+    out = []
+    causes = "data that do not belong together, a wrong stroke or unit, or a poor start"
+    if model.estimate_scatter and at.scatter > _ABSURD_SCATTER:
+        out.append(
+            f"not converged: a scatter of mu_s of {100 * at.scatter:.0f} % stands for a misfit "
+            f"({causes})"
+        )
+    chi2, (there, starts) = at.components.chi2 / max(freedom, 1), reached
+    if chi2 > _ABSURD_CHI2 and 2 * there < starts:
+        out.append(
+            f"not converged: the best of {starts} starts, which {there} reached, leaves a reduced "
+            f"chi-square of {chi2:.3g} ({causes})"
+        )
+    return out
 
 
 def _notes(data: FitData, at: Settled, freedom: int, reduction: Reduction | None) -> list[str]:

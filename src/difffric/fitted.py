@@ -11,6 +11,7 @@ from scipy import stats
 
 from difffric import parameters
 from difffric.coordinates import slope, to_value
+from difffric.pushes import Pushes
 from difffric.rig import Rig
 from difffric.setup_file import Extras, Setup
 from difffric.undetermined import undetermined, units
@@ -53,6 +54,7 @@ class Fit:
     chi2: float
     degrees_of_freedom: int
     converged: bool
+    """settled, and on an answer that can be one: `notes` says why not"""
     starts_at_optimum: tuple[int, int]
     """starts that reached the optimum, of how many"""
     conditions: tuple[str, ...]
@@ -78,6 +80,10 @@ class Fit:
     """the set-up that the fit started from"""
     work: Any = None
     """the fit's own state, for profiles and predictions"""
+    pushes: Pushes | None = None
+    """what it was fitted to, checked; recordings as they were reduced. Not in `result.json`"""
+    push_names: tuple[str, ...] = ()
+    """of the recordings' groups, an entry a push; empty for other data"""
 
     @property
     def vanished(self) -> tuple[str, ...]:
@@ -131,7 +137,8 @@ class Fit:
 
     @property
     def correlation(self) -> NDArray:
-        """Correlations of the free parameters; 0 for one at its bound."""
+        """Correlations of the free parameters, without bounds; 0 for one that went to zero where
+        no data feel it."""
         s = np.sqrt(np.diag(self.covariance))
         s = np.where(s > 0, s, np.inf)
         return self.covariance / np.outer(s, s) + np.diag(np.isinf(s).astype(float))

@@ -13,6 +13,8 @@ from difffric.coordinates import Layout
 from difffric.errors import NumericalError
 from difffric.first_search import other_branches, ranked_starts
 from difffric.fit_data import TABLE, FitData
+from difffric.marginal_likelihood import minus_2_log_likelihood
+from difffric.second_search import starts_elsewhere
 from difffric.settling import (
     ARRIVED,
     Model,
@@ -41,8 +43,11 @@ _WORTH = 5.0
 """Ends whose chi-square is this many times the best one's are not followed."""
 _BRANCHINGS = 3
 _LOOSE_SCATTER = 0.05
+_ROUNDS, _ELSEWHERE = 2, 4
+"""Rounds of a second search, and the starts of each."""
+_FRESH_SCATTER = 0.01
 _COOLER = 0.3
-_LEAST_ANNEALED = 2e-3
+_LEAST_COOLED = 2e-3
 
 
 def box_of_starts(layout: Layout, several: bool = True) -> list[NDArray]:
@@ -103,24 +108,101 @@ def best_fit(
     Raises `NumericalError` where none is finite.
     """
     distinct = first_search(model, data, box, tell)
-    settled: list[tuple[float, Settled, int]] = []
+    contest = _Contest(model, data)
     worth = _WORTH * (distinct[0][0] + data.samples)
     for i, (chi2, at, count) in enumerate(distinct[:REFINED]):
         if chi2 > worth:
             break
-        tell("settling", 0.4 + 0.15 * i)
-        try:
-            done = settle(model, data, replace(at, scatter=max(at.scatter, model.scatter)))
-            if data.kind == TABLE:
-                done = _annealed(model, data, _on_the_best_branches(model, data, done))
-        except NumericalError:
-            continue
-        settled.append((done.components.criterion, done, count))
-    if not settled:
+        tell("settling", 0.4 + 0.1 * i)
+        contest.enter(replace(at, scatter=max(at.scatter, model.scatter)), count)
+    contest.tried = sum(n for *_, n in distinct)  # those that were not worth following, too
+    if not contest.fits:
         raise NumericalError("fit: the misfit is not finite wherever the search led")
-    settled.sort(key=lambda x: x[0])
-    reached = sum(count for c, _, count in settled if c - settled[0][0] < ALIKE)
-    return settled[0][1], (reached, sum(n for *_, n in distinct))
+    if data.kind == TABLE:
+        for i in range(_ROUNDS if len(box) > 1 else 0):
+            before = contest.best
+            if contest.reached > contest.tried / 2:
+                break
+            tell("looking elsewhere", 0.7 + 0.1 * i)
+            for theta in starts_elsewhere(model, data, before, box, _ELSEWHERE):
+                contest.enter(_fresh(model, data, theta))
+            if contest.best is before:
+                break
+        tell("cooling", 0.9)
+        contest.cool()
+    return contest.best, (contest.reached, contest.tried)
+
+
+class _Contest:
+    """Fits that settled, by how likely each makes the data, and how many starts led to each."""
+
+    def __init__(self, model: Model, data: FitData):
+        self.model, self.data = model, data
+        self.fits: list[tuple[float, Settled, int]] = []
+        self.tried = 0
+
+    @property
+    def best(self) -> Settled:
+        return self.fits[0][1]
+
+    @property
+    def reached(self) -> int:
+        """How many starts led to the best."""
+        return sum(n for cost, _, n in self.fits if cost - self.fits[0][0] < ALIKE)
+
+    def enter(self, start: Settled, count: int = 1) -> None:
+        """Settle from a start that stands for `count`."""
+        self.tried += count
+        try:
+            self._add(self._settled(start), count)
+        except NumericalError:
+            return
+
+    def cool(self) -> None:
+        """Let the best compete with where a smaller scatter leads: too large a scatter, which
+        wrong branches bring about, makes them cheap."""
+        model, data, at = self.model, self.data, self.best
+        if not model.estimate_scatter or at.scatter < _LEAST_COOLED:
+            return
+        scatter = _COOLER * at.scatter
+        at = replace(at, scatter=scatter)
+        for _ in range(2):
+            end = descend(model, data, at, at.held, at.weights, scatter, 30.0)
+            at = moved(at, end, at.held, scatter)
+            at = unstuck(model, data, at, other_branches(model, data, at))
+        try:
+            cooled = self._settled(at)
+        except NumericalError:
+            return
+        if self._cost(cooled) < self.fits[0][0] - ALIKE:
+            # The starts that led to the best would have led here.
+            self.fits = [(self._cost(cooled), cooled, self.reached), *self.fits]
+
+    def _settled(self, start: Settled) -> Settled:
+        done = settle(self.model, self.data, start)
+        if self.data.kind != TABLE:
+            return done
+        return _on_the_best_branches(self.model, self.data, done)
+
+    def _cost(self, done: Settled) -> float:
+        if self.data.kind != TABLE:
+            return done.components.criterion
+        return minus_2_log_likelihood(self.model, self.data, done)
+
+    def _add(self, done: Settled, count: int) -> None:
+        self.fits.append((self._cost(done), done, count))
+        self.fits.sort(key=lambda x: x[0])
+
+
+def _fresh(model: Model, data: FitData, theta: NDArray) -> Settled:
+    """A start at these shared parameters with each push's own mu_s on its best branch: they are
+    better than the pushes' residuals make them look, and settling would leave them."""
+    scatter = _FRESH_SCATTER if model.estimate_scatter else model.scatter
+    at = replace(first_point(model, data, theta), scatter=scatter)
+    everything = np.ones_like(at.held)
+    end = descend(model, data, at, everything, at.weights, scatter, 30.0)
+    at = replace(moved(at, end, everything, scatter), held=at.held)
+    return unstuck(model, data, at, other_branches(model, data, at))
 
 
 def _on_the_best_branches(model: Model, data: FitData, done: Settled) -> Settled:
@@ -134,18 +216,3 @@ def _on_the_best_branches(model: Model, data: FitData, done: Settled) -> Settled
             break
         done = again
     return done
-
-
-def _annealed(model: Model, data: FitData, done: Settled) -> Settled:
-    """The fit, or a better one that a smaller scatter leads to: too large a scatter, which
-    wrong branches bring about, makes them cheap."""
-    if not model.estimate_scatter or done.scatter < _LEAST_ANNEALED:
-        return done
-    scatter = _COOLER * done.scatter
-    at = replace(done, scatter=scatter)
-    for _ in range(2):
-        end = descend(model, data, at, at.held, at.weights, scatter, 30.0)
-        at = moved(at, end, at.held, scatter)
-        at = unstuck(model, data, at, other_branches(model, data, at))
-    again = _on_the_best_branches(model, data, settle(model, data, at))
-    return min(done, again, key=lambda x: x.components.criterion)

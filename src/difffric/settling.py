@@ -240,14 +240,23 @@ def _with_bounds(model: Model, data: FitData, at: Settled, factor) -> Components
     Without its column the others would be as certain as if its true value were the bound; with
     it their errors are those without the bound, which are no smaller.
     """
-    found, vanished = at.components, at.theta <= NOTHING
-    if not (at.held & ~vanished).any():
+    found = at.components
+    if not (at.held & (at.theta > NOTHING)).any():
         return found
-    open_ = replace(at, held=at.held & vanished)
-    _, X, Xr, _ = linear_at(model, data, open_, factor).criterion(at.scatter, at.spreads)
-    covariance = inverse(X)
+    covariance, Xr = _unheld(model, data, at, factor)
     freedom = np.where(np.isfinite(found.freedom), found.freedom, np.min(found.freedom))
     return found._replace(covariance=covariance, step=-covariance @ Xr, freedom=freedom)
+
+
+def full_covariance(model: Model, data: FitData, at: Settled) -> NDArray:
+    """(P, P) of the coordinates as if none were at a bound, except a damping that is gone."""
+    return _unheld(model, data, at, 1.0)[0]
+
+
+def _unheld(model: Model, data: FitData, at: Settled, factor) -> tuple[NDArray, NDArray]:
+    open_ = replace(at, held=at.held & (at.theta <= NOTHING))
+    _, X, Xr, _ = linear_at(model, data, open_, factor).criterion(at.scatter, at.spreads)
+    return inverse(X), Xr
 
 
 def unstuck(

@@ -54,7 +54,7 @@ def slide_friction(
     velocity_se: NDArray,
     d: NDArray,
     d_se: NDArray,
-    k_v_se: float = 0.0,
+    k_v_se: NDArray | float = 0.0,
 ) -> tuple[NDArray, NDArray]:
     """(mu_s, standard errors), each (n,), of free slides that leave at `velocity` [m/s] and rest
     after `d` [m]; `rigs` is spread over them, `k_v_se` [N s/m] its viscosity's standard error.

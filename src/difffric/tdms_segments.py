@@ -206,6 +206,8 @@ def _segment(file, size, position, contents, layouts, active, described):
         end, missing = size, f"cut off: expected {start + length} bytes in all, the file has {size}"
     if metadata > length or (metadata > _LARGEST_METADATA and not missing):
         raise DamagedError(missing or f"a description of {metadata} bytes in {length}")
+    if metadata and not toc & toc_properties["kTocMetaData"]:
+        raise DamagedError(missing or f"a description of {metadata} bytes, flagged as none")
     if toc & toc_properties["kTocMetaData"]:
         head = _read(file, start, min(metadata, end - start, _LARGEST_METADATA))
         taken = _Bytes(head, order)
