@@ -193,7 +193,7 @@ def test_calibration_finds_the_rig_from_a_start_a_factor_of_three_off():
 @pytest.mark.parametrize("free", [(), ("k",)])
 def test_a_calibration_refuses_what_it_cannot_free(free):
     pushes = df.Pushes([0.05], [174.0], [3.5e-3], mu_s_gauge=[0.14])
-    with pytest.raises(df.InputError, match="free: .*some of mu_s, mu_k_over_mu_s"):
+    with pytest.raises(df.InputError, match=r"free: .*some of mu_s, mu_k_over_mu_s"):
         df.fit(df.spring_damper_rig(**PAPER), pushes, free=free)
 
 

@@ -18,7 +18,7 @@ from difffric.mixed import PADDING
 from difffric.pushes import Pushes
 from difffric.recordings import Recordings
 from difffric.reduction import Reduced
-from difffric.responses import SlidePush, TablePush
+from difffric.responses import Grid, SlidePush, TablePush
 from difffric.rig import Rig
 from difffric.traces import stacked_traces
 
@@ -172,6 +172,12 @@ def traces_data(
     )
 
 
-def scaled(data: FitData, factor: NDArray) -> FitData:
-    """The data with their weights (n, m) changed by a factor."""
-    return replace(data, weights=data.weights * factor)
+def as_if_white(data: FitData) -> FitData:
+    """Recordings whose samples count as they are, whatever their noise's correlation."""
+
+    def plain(grid: Grid) -> Grid:
+        return grid._replace(a=jnp.where(grid.a > 0, 1.0, 0.0), b=jnp.zeros_like(grid.b))
+
+    traces = data.pushes
+    traces = traces._replace(force=plain(traces.force), position=plain(traces.position))
+    return replace(data, pushes=traces)

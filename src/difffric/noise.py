@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
+from scipy.optimize import minimize_scalar
 from scipy.special import chdtri
 
 from difffric.errors import InputError
@@ -100,8 +102,9 @@ def whiten(residuals: ArrayLike, index: ArrayLike, noise: Noise) -> NDArray:
 def noise_of(stretches: Iterable[ArrayLike]) -> Noise:
     """The noise in stretches (each (n,)) in which nothing moves, each about a mean of its own.
 
-    The mean's cost is corrected for: in the level by its variance, in the lag-1 correlation by
-    the bias -(1 + 3φ) / n. A correlation that is not significant is 0.
+    Level and lag-1 correlation are those of the greatest restricted likelihood, which allows
+    for what the means take away (H. D. Patterson and R. Thompson, Biometrika 58 (1971)). A
+    correlation that is not significant is 0.
 
     Raises `InputError` where no stretch has at least 16 samples.
     """
@@ -110,18 +113,34 @@ def noise_of(stretches: Iterable[ArrayLike]) -> Noise:
     if not arrays:
         raise InputError(f"no noise estimate: expected {SHORTEST} quiet samples in a row or more")
     n = sum(len(a) for a in arrays)
-    squares = sum(float(a @ a) for a in arrays)
-    if squares == 0.0:
+    squares = np.array([a @ a for a in arrays])
+    if squares.sum() == 0.0:
         return Noise(0.0, 0.0, n)
-    products = sum(float(a[1:] @ a[:-1]) for a in arrays)
-    r = (products / (n - len(arrays))) / (squares / n)
-    bias = len(arrays) / n
-    phi = min((r + bias) / (1 - 3 * bias), _MOST)
+    lengths = np.array([len(a) for a in arrays])
+    freedom = n - len(arrays)
+    products = np.array([a[1:] @ a[:-1] for a in arrays])
+    ends = np.array([[a[0], a[-1]] for a in arrays])
+
+    def innovations(phi):
+        """Sum of squares of the innovations about the best means, and the means' information."""
+        inner = squares - np.sum(ends**2, axis=1)
+        whole = squares + phi**2 * inner - 2 * phi * products
+        # The sum of a stretch is zero, so that only its ends remain of 1' V^-1 a.
+        mean = phi * (1 - phi) * ends.sum(axis=1)
+        information = (1 - phi) * (lengths - (lengths - 2) * phi)
+        return np.sum(whole - mean**2 / information), information
+
+    def criterion(phi):
+        rest, information = innovations(phi)
+        lost = np.sum(np.log(information)) - len(arrays) * np.log(1 - phi**2)
+        return freedom * np.log(rest) + lost
+
+    best: Any = minimize_scalar(criterion, bounds=(-_MOST, _MOST), method="bounded")
+    phi = float(best.x)
     if abs(phi) * np.sqrt(n) < _SIGNIFICANT:
         phi = 0.0
-    shape = Noise(1.0, max(phi, -_MOST))
-    freedom = sum(len(a) - len(a) / shape.effective(len(a)) for a in arrays)
-    return Noise(float(np.sqrt(squares / freedom)), shape.correlation, n)
+    variance = innovations(phi)[0] / freedom
+    return Noise(float(np.sqrt(variance / (1 - phi**2))), phi, n)
 
 
 def difference_noise(samples: ArrayLike) -> Noise:

@@ -11,21 +11,25 @@ from numpy.typing import NDArray
 
 from difffric import coordinates, parameters
 from difffric.errors import InputError, NumericalError
-from difffric.first_search import fit_of_forces
-from difffric.fit_data import FitData, sensor_errors, table_data, traces_data
+from difffric.first_search import fit_of_forces, other_branches
+from difffric.fit_data import FitData, as_if_white, sensor_errors, table_data, traces_data
+from difffric.noise import Noise
 from difffric.reduction import Reduction
 from difffric.searches import ALIKE, FACTORS, REFINED, Tell, descents, first_search
-from difffric.settling import ROUNDS, Model, Settled, descend, first_point, settle, unstuck
+from difffric.settling import ROUNDS, Model, Settled, around, descend, first_point, settle, unstuck
 
 _LOOSE = 1e-5
 """How far a distance may be off [m] where it only leads to a start."""
-_FITS = 1.5
-"""A reduced chi-square above this makes a fit try its other starts too."""
+_FITS = 1.15
+"""A reduced chi-square above this makes a fit try its other starts too, until two agree."""
+_COLOURED = 0.3
+"""Noise more correlated than this is first taken to be white: differences of samples, which
+whitening looks at, have a narrower basin than the samples."""
 _TRUST = 1e3
 _GUARD = 2e-5
 """How far a free start may move a jump [s]: samples that near are left out."""
 _LAST_ROUNDS = 4
-_POOR = 1.5
+_POOR = 1.15
 """A push whose chi-square per sample is above this may have its mu_s on a wrong branch."""
 
 
@@ -67,7 +71,7 @@ class SampleSearch:
                 if best is None or chi2 < best[2].components.chi2 - ALIKE:
                     best, reached = found, 0
                 reached += chi2 < best[2].components.chi2 + ALIKE
-                if best[2].components.chi2 < _FITS * best[1].samples:
+                if reached > 1 or best[2].components.chi2 < _FITS * best[1].samples:
                     return *best, (reached, tried)
         if best is None:
             raise NumericalError("fit: no start gives a finite misfit")
@@ -126,21 +130,41 @@ class SampleSearch:
         theta = self.box[0] if start is None else start.theta
         named = self.model.layout.value(theta).items()
         stiffest = max([0.0, *(v for x, v in named if x.startswith("k_N_per_m"))])
-        jumps, at, rounds = None, start, ROUNDS
-        while True:
+        model, data = self._samples(None, stiffest)
+        at = first_point(model, data, theta)
+        if start is not None:
+            at = replace(at, s_eta=start.s_eta)
+        at = self._first_settled(model, data, at)
+        rounds = ROUNDS
+        while rounds > _LAST_ROUNDS:
+            jumps = np.asarray(at.end.jumps)[: data.n]
             model, data = self._samples(jumps, stiffest)
-            fresh = first_point(model, data, theta)
-            if at is None:
-                at = fresh
-            elif jumps is None:
-                at = replace(fresh, s_eta=at.s_eta)
+            rounds = rounds // 2
             at = settle(model, data, at, trust=_TRUST, rounds=rounds)
-            if jumps is None and (_misfit(data, at) > _POOR).any():
-                at = settle(model, data, unstuck(model, data, at), trust=_TRUST)
-            new = np.asarray(at.end.jumps)[: data.n]
-            if rounds <= _LAST_ROUNDS or (jumps is not None and _same(jumps, new)):
-                return model, data, at
-            jumps, rounds = new, rounds // 2
+            if _same(jumps, np.asarray(at.end.jumps)[: data.n]):
+                break
+        return model, data, at
+
+    def _first_settled(self, model: Model, data: FitData, at: Settled) -> Settled:
+        """A fit with every push's mu_s on its best branch, the jumps as the data show them."""
+        if any(abs(x.correlation) > _COLOURED for x in self._noise()):
+            rough = settle(model, as_if_white(data), at, trust=_TRUST, rounds=_LAST_ROUNDS)
+            at = replace(first_point(model, data, rough.theta), s_eta=rough.s_eta)
+        at = settle(model, data, at, trust=_TRUST)
+        for trials in (self._branches, around):
+            if (_misfit(data, at) > _POOR).any():
+                other = unstuck(model, data, at, trials(at))
+                at = at if other is at else settle(model, data, other, trust=_TRUST)
+        return at
+
+    def _noise(self) -> list[Noise]:
+        found = self.reduction.details[0]
+        return [x for x in (found.noise_force, found.noise_position) if x is not None]
+
+    def _branches(self, at: Settled) -> list[NDArray]:
+        """Each push's log mu_s by which F_p and d are as they were measured."""
+        model, data = self._loose_table()
+        return other_branches(model, data, replace(at, weights=data.rough))
 
 
 def _misfit(data: FitData, at: Settled) -> NDArray:

@@ -39,6 +39,8 @@ _UNFELT = 1e-3
 _MAY_VANISH = ("b_N_s_per_m",)
 OTHERWISE = (-3.0, -1.5, -0.7, 0.7, 1.5, 3.0)
 """Where else each push's own mu_s is looked for, in units of the scatter."""
+_TRIAL = 15
+"""Steps in which one mu_s is as good as found."""
 NOTHING = -7.0
 """The logarithm at which a damping that runs towards zero is held."""
 
@@ -259,6 +261,11 @@ def _unheld(model: Model, data: FitData, at: Settled, factor) -> tuple[NDArray, 
     return inverse(X), Xr
 
 
+def around(at: Settled) -> list[NDArray]:
+    """Each push's own mu_s some multiples of the scatter to either side."""
+    return [at.s_eta + shift * at.scatter for shift in OTHERWISE]
+
+
 def unstuck(
     model: Model, data: FitData, at: Settled, trials: Sequence[NDArray] | None = None
 ) -> Settled:
@@ -272,7 +279,7 @@ def unstuck(
         return at
     everything = np.ones_like(at.held)
     if trials is None:
-        trials = [at.s_eta + shift * at.scatter for shift in OTHERWISE]
+        trials = around(at)
 
     def cost(end):
         rows = at.weights * np.asarray(end.rows)[: data.n, :, -1]
@@ -283,7 +290,7 @@ def unstuck(
     improved = False
     for trial in trials:
         start = replace(at, s_eta=trial)
-        end = descend(model, data, start, everything, at.weights, at.scatter, 30.0)
+        end = descend(model, data, start, everything, at.weights, at.scatter, 30.0, _TRIAL)
         new, moved_to = cost(end)
         better = new < best - 1e-3
         improved |= bool(better.any())
