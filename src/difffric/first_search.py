@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
@@ -19,7 +18,7 @@ from scipy.stats import qmc
 from difffric import parameters
 from difffric.coordinates import LINEAR
 from difffric.fit_data import FitData
-from difffric.mixed import Point, Problem, coordinates
+from difffric.mixed import Problem
 from difffric.settling import Model, Settled, descend, first_point, linear_at, moved, problem_of
 from difffric.units import GRAVITY
 
@@ -44,18 +43,22 @@ _VISCOUS = 0.3
 
 @eqx.filter_jit
 def _model(problem: Problem, thetas, s_etas):
-    """(batch, n, 2): F_p and d at shared coordinates (batch, P) and own log mu_s (batch, n)."""
+    """(n, batch, 2): F_p and d at shared coordinates (batch, P) and own log mu_s (n, batch).
 
-    def one(theta, s_eta):
-        at = problem._replace(scatter=jnp.asarray(1.0), starts=jnp.zeros(0))
-        c = coordinates(at, Point(theta, s_eta, jnp.zeros(0)))
+    One push after the other: a batch goes on for as long as its longest push, and the same push
+    lasts about as long at all points.
+    """
 
-        def push(data, c):
-            return data.respond(problem.rig, problem.integrator, c).model
+    def of_push(given):
+        push, selection, fixed, own = given
 
-        return jax.vmap(push)(problem.pushes, c)
+        def at(theta, s_eta):
+            c = (fixed + selection @ theta).at[0].add(s_eta)
+            return push.respond(problem.rig, problem.integrator, c).model
 
-    return jax.lax.map(lambda x: one(*x), (thetas, s_etas), batch_size=32)
+        return jax.vmap(at)(thetas, own)
+
+    return jax.lax.map(of_push, (problem.pushes, problem.selection, problem.fixed, s_etas))
 
 
 def answers(model: Model, data: FitData, thetas: NDArray, s_etas: NDArray) -> NDArray:
@@ -65,12 +68,12 @@ def answers(model: Model, data: FitData, thetas: NDArray, s_etas: NDArray) -> ND
     size, whole = problem.prior.shape[0], problem.weights.shape[0]
     out = []
     for lo in range(0, len(thetas), BATCH):
-        theta, s_eta = np.zeros((BATCH, size)), np.zeros((BATCH, whole))
+        theta, s_eta = np.zeros((BATCH, size)), np.zeros((whole, BATCH))
         part = thetas[lo : lo + BATCH]
         theta[: len(part), : part.shape[1]] = part
-        s_eta[: len(part), : data.n] = s_etas[lo : lo + BATCH]
-        out.append(np.asarray(_model(problem, theta, s_eta))[: len(part), : data.n])
-    return np.concatenate(out)
+        s_eta[: data.n, : len(part)] = s_etas[lo : lo + BATCH].T
+        out.append(np.asarray(_model(problem, theta, s_eta))[: data.n, : len(part)])
+    return np.concatenate(out, axis=1).swapaxes(0, 1)
 
 
 def measured(data: FitData) -> NDArray:

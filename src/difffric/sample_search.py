@@ -16,7 +16,16 @@ from difffric.fit_data import FitData, as_if_white, sensor_errors, table_data, t
 from difffric.noise import Noise
 from difffric.reduction import Reduction
 from difffric.searches import ALIKE, FACTORS, REFINED, Tell, descents, first_search
-from difffric.settling import ROUNDS, Model, Settled, around, descend, first_point, settle, unstuck
+from difffric.settling import (
+    ROUNDS,
+    Model,
+    Settled,
+    around,
+    descent_to_compile,
+    first_point,
+    settle,
+    unstuck,
+)
 
 _LOOSE = 1e-5
 """How far a distance may be off [m] where it only leads to a start."""
@@ -48,8 +57,7 @@ class SampleSearch:
 
         Raises `NumericalError` where no start gives a finite misfit.
         """
-        compiling = Thread(target=self._compile, daemon=True)
-        compiling.start()  # beside the programs that the searches need
+        compiling = self._compile()
         best, reached, tried = None, 0, 0
         searches: tuple[Callable[[], list[Settled | None]], ...] = (
             self._forces_first, self._tables_first, lambda: [None],
@@ -99,14 +107,16 @@ class SampleSearch:
         model, data = self._loose_table()
         return [at for _, at, _ in first_search(model, data, self.box, self.tell)[:REFINED]]
 
-    def _compile(self) -> None:
-        """Have the program that fits the samples compiled."""
-        try:
-            model, data = self._samples(None)
-            at = first_point(model, data, self.box[0])
-            descend(model, data, at, at.held, data.weights, max(model.scatter, 1e-3), _TRUST, 0)
-        except Exception:  # the fit itself will say what is wrong
-            return
+    def _compile(self) -> Thread:
+        """Have the program that fits the samples compiled, beside those that the searches need.
+
+        It is traced first: two threads that trace at once keep each other waiting.
+        """
+        model, data = self._samples(None)
+        traced = descent_to_compile(model, data, first_point(model, data, self.box[0]))
+        compiling = Thread(target=traced.compile, daemon=True)
+        compiling.start()
+        return compiling
 
     def _samples(self, jumps: NDArray | None, stiffest: float = 0.0) -> tuple[Model, FitData]:
         """The samples as a fit takes them, in blocks that suit a contact `stiffest` [N/m], or
@@ -134,28 +144,22 @@ class SampleSearch:
         at = first_point(model, data, theta)
         if start is not None:
             at = replace(at, s_eta=start.s_eta)
-        at = self._first_settled(model, data, at)
-        rounds = ROUNDS
+        if any(abs(x.correlation) > _COLOURED for x in self._noise()):
+            rough = settle(model, as_if_white(data), at, trust=_TRUST, rounds=_LAST_ROUNDS)
+            at = replace(first_point(model, data, rough.theta), s_eta=rough.s_eta)
+        at = settle(model, data, at, trust=_TRUST)
+        rounds, elsewhere = ROUNDS, [self._branches, around]
         while rounds > _LAST_ROUNDS:
             jumps = np.asarray(at.end.jumps)[: data.n]
             model, data = self._samples(jumps, stiffest)
             rounds = rounds // 2
             at = settle(model, data, at, trust=_TRUST, rounds=rounds)
+            while elsewhere and (_misfit(data, at) > _POOR).any():
+                other = unstuck(model, data, at, elsewhere.pop(0)(at))
+                at = at if other is at else settle(model, data, other, trust=_TRUST)
             if _same(jumps, np.asarray(at.end.jumps)[: data.n]):
                 break
         return model, data, at
-
-    def _first_settled(self, model: Model, data: FitData, at: Settled) -> Settled:
-        """A fit with every push's mu_s on its best branch, the jumps as the data show them."""
-        if any(abs(x.correlation) > _COLOURED for x in self._noise()):
-            rough = settle(model, as_if_white(data), at, trust=_TRUST, rounds=_LAST_ROUNDS)
-            at = replace(first_point(model, data, rough.theta), s_eta=rough.s_eta)
-        at = settle(model, data, at, trust=_TRUST)
-        for trials in (self._branches, around):
-            if (_misfit(data, at) > _POOR).any():
-                other = unstuck(model, data, at, trials(at))
-                at = at if other is at else settle(model, data, other, trust=_TRUST)
-        return at
 
     def _noise(self) -> list[Noise]:
         found = self.reduction.details[0]

@@ -138,6 +138,18 @@ def descend(
     model: Model, data: FitData, at: Settled, held, weights, scatter, trust, steps=MAX_STEPS
 ) -> End:
     """The conditional mode near a point, for these weights and this scatter."""
+    return minimise(*_descent(model, data, at, held, weights, scatter, trust, steps))
+
+
+def descent_to_compile(model: Model, data: FitData, at: Settled):
+    """The program of `descend` for data of this shape, traced; `.compile()` makes it ready for
+    every later call, and may be left to another thread."""
+    scatter = max(model.scatter, 1e-3)
+    return minimise.lower(*_descent(model, data, at, at.held, data.weights, scatter, 1.0, 0))
+
+
+def _descent(model, data, at, held, weights, scatter, trust, steps) -> tuple[Problem, Point, Any]:
+    """What `minimise` takes."""
     problem = problem_of(model, data, held, at.theta, scatter, weights, trust)
     theta = np.zeros(problem.prior.shape[0])
     theta[: len(at.theta)] = np.where(held, 0.0, at.theta)
@@ -146,7 +158,7 @@ def descend(
     start = np.zeros(problem.starts.shape[0])
     start[: data.n] = at.start
     point = Point(jnp.asarray(theta), jnp.asarray(eta), jnp.asarray(start))
-    return minimise(problem, point, jnp.asarray(steps))
+    return problem, point, jnp.asarray(steps)
 
 
 def moved(at: Settled, end: End, held, scatter) -> Settled:
