@@ -120,9 +120,13 @@ def test_correlated_noise_widens_the_error_bars_and_the_truth_stays_inside(
     # n AR(1) samples are worth n (1 - phi) / (1 + phi) for what changes slowly.
     phi = fit.noise["force"]["correlation"]
     slow = np.sqrt((1 + phi) / (1 - phi))
+    louder = (
+        fit.noise["force"]["standard_deviation"]
+        / fit_of_recordings.noise["force"]["standard_deviation"]
+    )
     for label in ("k_N_per_m", "b_N_s_per_m"):
         ratio = fit.standard_error(label) / fit_of_recordings.standard_error(label)
-        assert 2 < ratio < 1.1 * slow
+        assert 2 < ratio < 1.1 * slow * louder
 
 
 def test_start_offsets_are_found_where_they_are_free(pushes):
@@ -183,7 +187,7 @@ def test_bounds_hold_and_priors_pull(table):
     extras = {"k_N_per_m": Extras(lower=9e5)}
     bounded = df.fit(Setup(rough(), None, extras), table)
     assert bounded.value("k_N_per_m") == pytest.approx(9e5)
-    assert bounded.held == ("k_N_per_m",)
+    assert "k_N_per_m" in bounded.held
     assert {"parameters": ["k_N_per_m"], "reason": "at its lower bound, 900000"} in (
         bounded.not_identifiable
     )

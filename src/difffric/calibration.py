@@ -86,6 +86,8 @@ def fit(
     else:
         data = checked_data(data, rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
     integrator = integrator or default_integrator(rig)
+    if robust and isinstance(data, Recordings):
+        raise InputError("robust: expected a table; recordings are fitted sample by sample")
     if isinstance(data, Recordings):
         tell("reducing the recordings", 0.0)
         reduction = reduce_recordings(data, skip_bad=skip_bad)

@@ -238,6 +238,9 @@ def settle(model: Model, data: FitData, at: Settled, *, trust=30.0, rounds=ROUND
             settled = True
             break
         last = float(end.chi2)
+    layout = model.layout
+    # One that was let go, and found no way inside, is at its bound all the same.
+    at = replace(at, held=at.held | (at.theta == layout.lower) | (at.theta == layout.upper))
     if at.components is None:  # every round ended at another bound
         at = replace(
             at,
@@ -320,7 +323,7 @@ def _close(a: float, b: float) -> bool:
 
 
 def _huber(clean_weights, end: End, data: FitData) -> NDArray:
-    """Square roots of Huber's weights; samples behind triangular factors keep theirs."""
+    """Square roots of Huber's weights, for rows that are measurements."""
     r = np.abs(clean_weights * np.asarray(end.rows)[: data.n, :, -1])
     return np.sqrt(np.minimum(1.0, HUBER / np.maximum(r, HUBER)))
 
