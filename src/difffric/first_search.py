@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import equinox as eqx
 import jax
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from scipy.special import ndtri
 from scipy.stats import qmc
 
 from difffric import parameters
+from difffric.compiling import soon_compiled
 from difffric.coordinates import LINEAR
 from difffric.fit_data import FitData
 from difffric.mixed import Problem
@@ -41,7 +41,7 @@ _VISCOUS = 0.3
 """The largest share of viscosity in the friction at the fastest push that is looked for."""
 
 
-@eqx.filter_jit
+@soon_compiled
 def _model(problem: Problem, thetas, s_etas):
     """(n, batch, 2): F_p and d at shared coordinates (batch, P) and own log mu_s (n, batch).
 

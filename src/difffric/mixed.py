@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize as scipy_minimize
 
 from difffric.arrow import Arrow
+from difffric.compiling import soon_compiled
 
 Array = Any  # NumPy's outside a compiled program, JAX's within
 
@@ -143,7 +144,7 @@ class _LevenbergMarquardt(optx.LevenbergMarquardt):
         return stop | refused | nothing | (state.num_steps >= args), result
 
 
-@eqx.filter_jit
+@soon_compiled
 def minimise(problem: Problem, start: Point, steps) -> End:
     """The conditional mode near `start`, by optimistix's Levenberg-Marquardt, after `steps`
     steps at most."""
