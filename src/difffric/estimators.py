@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,13 +14,14 @@ from numpy.typing import NDArray
 
 from difffric import coordinates, parameters
 from difffric.calibration import rigs_of
+from difffric.compiling import soon_compiled
 from difffric.coordinates import LINEAR
 from difffric.data_checks import checked_data
 from difffric.estimates import NONE, Estimate, Identified, PushFriction
 from difffric.families import family
 from difffric.fit_data import sensor_errors
 from difffric.fitted import Fit
-from difffric.inversion import BRACKET, Inversion, invert
+from difffric.inversion import BRACKET, Inversion, invert, model_at
 from difffric.observables import observe
 from difffric.parameters import pick
 from difffric.push import REGIMES, default_integrator
@@ -285,7 +285,7 @@ def _shifted(name: str, value, shift):
     return value + LINEAR[name] * shift if name in LINEAR else value * jnp.exp(shift)
 
 
-@eqx.filter_jit
+@soon_compiled
 def _at(rigs, velocity, mu_s, free, integrator):
     """(F_p, d), their derivatives by the coordinates of `free`, and the regime, at each mu_s."""
 
@@ -306,17 +306,24 @@ def _at(rigs, velocity, mu_s, free, integrator):
 
 def _supported_by_force(rigs, pushes, distance, integrator) -> list[Inversion]:
     """Among several mu_s for one distance, the one that the measured force supports."""
+    chosen = list(distance)
     open_ = [
         i for i, x in enumerate(distance) if x.alternatives and not np.isnan(pushes.peak_force[i])
     ]
-    chosen = list(distance)
+    if not open_:
+        return chosen
+    which = np.repeat(open_, [len(distance[i].alternatives) for i in open_])
+    several = np.concatenate([distance[i].alternatives for i in open_])
+    force, _, _ = model_at(
+        pick(rigs, which),
+        pushes.velocity[which],
+        np.log(several)[:, None],
+        "peak_force",
+        integrator,
+    )
+    away = np.abs(force[:, 0] - pushes.peak_force[which])
     for i in open_:
-        several = np.array(distance[i].alternatives)
-        copies = pick(rigs, np.full(len(several), i))
-        velocity = np.full(len(several), pushes.velocity[i])
-        both, _, _ = _at(copies, velocity, several, (), integrator)
-        nearest = int(np.argmin(np.abs(np.asarray(both)[:, 0] - pushes.peak_force[i])))
-        chosen[i] = distance[i].at(nearest)
+        chosen[i] = distance[i].at(int(np.argmin(away[which == i])))
     return chosen
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from difffric import parameters
+from difffric.compiling import soon_compiled
 from difffric.observables import observe
 from difffric.rig import Rig
 from difffric.surrogate import DistanceSurrogate, ForceSurrogate
@@ -52,7 +52,7 @@ class Family:
         return DistanceSurrogate.fitted(v, mu, self.sliding_distance)
 
 
-@eqx.filter_jit
+@soon_compiled
 def _grid(rig, velocity, mu_s, integrator):
     def one(velocity, mu_s):
         seen = observe(parameters.with_values(rig, {"mu_s": mu_s}), velocity, integrator)

@@ -279,8 +279,9 @@ def _model_batch(rigs, velocity, mu_s, integrator):
     return jax.vmap(one)(rigs, velocity, mu_s)
 
 
-def _model(rigs, velocity, log_mu_s, quantity, integrator):
-    """(value, derivative by log mu_s, kind) for rows of log mu_s, one row a push."""
+def model_at(rigs, velocity, log_mu_s, quantity, integrator):
+    """(value, derivative by log mu_s, kind), each (n, m), of the quantity of n pushes at rows of
+    log mu_s (n, m). One compiled program serves all shapes."""
     rows, columns = log_mu_s.shape
     which = np.repeat(np.arange(rows), columns)
     mu_s = np.exp(log_mu_s.ravel())
@@ -302,7 +303,7 @@ def _grid(bracket):
 def _ends(rigs, velocity, quantity, bracket, integrator):
     """The least and the most the model gives over the bracket, for each push."""
     grid = np.broadcast_to(_grid(bracket), (len(velocity), _GRID))
-    value, _, _ = _model(rigs, velocity, grid, quantity, integrator)
+    value, _, _ = model_at(rigs, velocity, grid, quantity, integrator)
     nowhere = np.isnan(value).all(axis=1)
     least = np.where(nowhere, np.nan, np.min(np.where(np.isnan(value), np.inf, value), axis=1))
     most = np.where(nowhere, np.nan, np.max(np.where(np.isnan(value), -np.inf, value), axis=1))
@@ -319,7 +320,7 @@ def _crossings(rigs, velocity, target, quantity, bracket, integrator):
     which = np.arange(len(target))
     points = np.broadcast_to(_grid(bracket), (len(target), _GRID))
     for level in range(_LEVELS):
-        value, slope, kind = _model(
+        value, slope, kind = model_at(
             pick(rigs, which), velocity[which], points, quantity, integrator
         )
         excess = value / target[which, None] - 1.0

@@ -94,7 +94,7 @@ def coordinates(problem: Problem, point: Point):
     return c
 
 
-@eqx.filter_jit  # so that it is traced once for all the places in which a solver calls it
+@eqx.filter_jit
 def _respond(problem: Problem, point: Point):
     def one(push, c):
         return push.respond(problem.rig, problem.integrator, c)
@@ -102,18 +102,18 @@ def _respond(problem: Problem, point: Point):
     return jax.vmap(one)(problem.pushes, coordinates(problem, point))
 
 
-def _residuals(problem: Problem, point: Point):
+def _residuals(problem: Problem, point: Point, respond):
     """All residuals, with the exact Jacobian that came with the rows as their derivative."""
 
     @jax.custom_jvp
     def of(point):
-        rows, *_ = found = _respond(problem, point)
+        rows, *_ = found = respond(point)
         return _stacked(problem, point, problem.weights * rows[..., -1]), tuple(found)
 
     @of.defjvp
     def _(primals, tangents):
         (point,), (moved,) = primals, tangents
-        rows, *_ = found = _respond(problem, point)
+        rows, *_ = found = respond(point)
         r = _stacked(problem, point, problem.weights * rows[..., -1])
         dc = coordinates(problem._replace(fixed=jnp.zeros_like(problem.fixed)), moved)
         dr = problem.weights * jnp.einsum("nmk,nk->nm", rows[..., :-1], dc)
@@ -148,8 +148,10 @@ class _LevenbergMarquardt(optx.LevenbergMarquardt):
 def minimise(problem: Problem, start: Point, steps) -> End:
     """The conditional mode near `start`, by optimistix's Levenberg-Marquardt, after `steps`
     steps at most."""
+    # Traced once for all the places in which the solver calls it.
+    respond = eqx.filter_closure_convert(lambda point: _respond(problem, point), start)
     solution = optx.least_squares(
-        lambda point, _: _residuals(problem, point),
+        lambda point, _: _residuals(problem, point, respond),
         _LevenbergMarquardt(rtol=1e-8, atol=1e-7, linear_solver=Arrow()),  # pyright: ignore
         start,
         args=steps,
