@@ -34,6 +34,9 @@ compilations."""
 
 _UNDETERMINED = 1e12
 """Variance of a coordinate along what is not determined at all."""
+_MANY = 5
+"""Pushes from which a scatter can be averaged over: fewer leave its variance without a mean."""
+_SCATTERS = 60
 _LEAST_SCATTER = 1e-6
 """A scatter below this is none."""
 
@@ -263,8 +266,10 @@ def components(
     """The variances that maximise the restricted likelihood, from a first guess and, to
     `search`, from other scatters too.
 
-    The scatter is estimated only where `estimate` says so. Degrees of freedom: Satterthwaite,
-    Biometrics Bulletin 2 (1946), with the variances' own covariance from the likelihood.
+    The scatter is estimated only where `estimate` says so. The covariance allows for what is not
+    known of it (`averaged`). Degrees of freedom are for the spreads: Satterthwaite, Biometrics
+    Bulletin 2 (1946), with the variances' own covariance from the likelihood; and for the scatter
+    where pushes are too few to average over it.
     """
     guess = np.log([*([max(scatter, 1e-4)] * estimate), *np.maximum(spreads, model.least)])
     P = model.prior.shape[0] - 1
@@ -288,11 +293,12 @@ def components(
     s, spread = unpack(best)
     criterion, X, Xr, rr = model.criterion(s, spread)
     covariance = inverse(X)
-    freedom, relative = _freedom(model, unpack, best, covariance, P)
+    many = estimate and len(model.known) >= _MANY
+    freedom, relative = _freedom(model, unpack, best, covariance, P, scatter_too=not many)
     return Components(
         scatter=s,
         spreads=spread,
-        covariance=covariance,
+        covariance=averaged(model, spread)[0] if many else covariance,
         freedom=freedom,
         step=-covariance @ Xr,
         gain=float(Xr @ covariance @ Xr),
@@ -300,6 +306,46 @@ def components(
         criterion=float(criterion + Xr @ covariance @ Xr),
         relative_errors=relative if estimate else np.array([np.nan, *relative]),
     )
+
+
+def covariance_and_step(
+    model: LinearModel, scatter: float, spreads: NDArray, estimate: bool
+) -> tuple[NDArray, NDArray]:
+    """(P, P) and (P,): averaged over the scatter where it was estimated from enough pushes."""
+    if estimate and len(model.known) >= _MANY:
+        return averaged(model, spreads)
+    _, X, Xr, _ = model.criterion(scatter, spreads)
+    covariance = inverse(X)
+    return covariance, -covariance @ Xr
+
+
+def averaged(model: LinearModel, spreads: NDArray) -> tuple[NDArray, NDArray]:
+    """Covariance (P, P) and mean step (P,) over the scatters that the data leave open.
+
+    Few pushes leave the scatter open by a fifth or more, and one that is small may be estimated
+    as none. The restricted likelihood weighs the scatters; the prior is even in log s, and in s
+    below what the noise lets see: for many pushes as for few the interval is Student's.
+    """
+    seen = np.einsum("gnij,g->nij", model.groups, 1.0 / spreads**2) + model.known
+    z = seen[:, -2, -2]
+    visible = 1.0 / np.sqrt(np.median(z[z > 0])) if (z > 0).any() else 1.0
+    grid = np.concatenate([[0.0], np.geomspace(1e-2 * min(visible, 1e-2), 1.0, _SCATTERS)])
+    minus_2_log, covariances, steps = [], [], []
+    for s in grid:
+        found, X, Xr, _ = model.criterion(s, spreads)
+        covariances.append(inverse(X))
+        steps.append(-covariances[-1] @ Xr)
+        minus_2_log.append(found)
+    weight = (
+        np.gradient(grid)
+        / (grid + visible)
+        * np.exp(0.5 * (min(minus_2_log) - np.array(minus_2_log)))
+    )
+    weight /= weight.sum()
+    step = weight @ np.array(steps)
+    away = np.array(steps) - step
+    between = np.einsum("s,si,sj->ij", weight, away, away)
+    return np.einsum("s,sij->ij", weight, np.array(covariances)) + between, step
 
 
 def inverse(information):
@@ -317,9 +363,10 @@ def inverse(information):
     return out
 
 
-def _freedom(model: LinearModel, unpack, x, covariance, P):
-    """Satterthwaite's degrees of freedom of each parameter's variance (P,), and the standard
-    errors of the logarithms x."""
+def _freedom(model: LinearModel, unpack, x, covariance, P, scatter_too: bool):
+    """Satterthwaite's degrees of freedom of each parameter's variance (P,), for what is not known
+    of the spreads and of the scatter, if that counts; and the standard errors of the logarithms
+    x."""
     out, errors = np.full(P, np.inf), np.full(len(x), np.nan)
     n_scatter = len(x) - len(model.least)
     moving = [j for j in range(len(x)) if j >= n_scatter or unpack(x)[0] > 1e-4]
@@ -339,6 +386,8 @@ def _freedom(model: LinearModel, unpack, x, covariance, P):
         return np.diag(inverse(model.criterion(*unpack(at))[1]))
 
     slope = np.array([(variances(x + a) - variances(x - a)) / (2 * h) for a in E])
+    if not scatter_too:
+        slope[[j < n_scatter for j in moving]] = 0.0
     values, vectors = np.linalg.eigh(0.5 * hessian)
     of_variances = (vectors / np.maximum(values, 1e-2)) @ vectors.T
     errors[moving] = np.sqrt(np.diag(of_variances))

@@ -22,7 +22,7 @@ from difffric.mixed import (
     Point,
     Problem,
     components,
-    inverse,
+    covariance_and_step,
     linear_model,
     minimise,
 )
@@ -260,9 +260,9 @@ def _with_bounds(model: Model, data: FitData, at: Settled, factor) -> Components
     found = at.components
     if not (at.held & (at.theta > NOTHING)).any():
         return found
-    covariance, Xr = _unheld(model, data, at, factor)
+    covariance, step = _unheld(model, data, at, factor)
     freedom = np.where(np.isfinite(found.freedom), found.freedom, np.min(found.freedom))
-    return found._replace(covariance=covariance, step=-covariance @ Xr, freedom=freedom)
+    return found._replace(covariance=covariance, step=step, freedom=freedom)
 
 
 def full_covariance(model: Model, data: FitData, at: Settled) -> NDArray:
@@ -271,9 +271,9 @@ def full_covariance(model: Model, data: FitData, at: Settled) -> NDArray:
 
 
 def _unheld(model: Model, data: FitData, at: Settled, factor) -> tuple[NDArray, NDArray]:
-    open_ = replace(at, held=at.held & (at.theta <= NOTHING))
-    _, X, Xr, _ = linear_at(model, data, open_, factor).criterion(at.scatter, at.spreads)
-    return inverse(X), Xr
+    """Covariance (P, P) and generalised least-squares step (P,)."""
+    linear = linear_at(model, data, replace(at, held=at.held & (at.theta <= NOTHING)), factor)
+    return covariance_and_step(linear, at.scatter, at.spreads, model.estimate_scatter)
 
 
 def around(at: Settled) -> list[NDArray]:
