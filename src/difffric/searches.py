@@ -44,7 +44,9 @@ _WORTH = 5.0
 _BRANCHINGS = 3
 _LOOSE_SCATTER = 0.05
 _ROUNDS, _ELSEWHERE = 2, 4
-"""Rounds of a second search, and the starts of each."""
+"""Rounds of a second search, and the starts of each; 2 where the first one is sure."""
+_POOR = 3.0
+"""A fit whose chi-square is this many times the number of measurements may be no optimum."""
 _FRESH_SCATTER = 0.01
 _COOLER = 0.3
 _LEAST_COOLED = 2e-3
@@ -120,11 +122,11 @@ def best_fit(
         raise NumericalError("fit: the misfit is not finite wherever the search led")
     if data.kind == TABLE:
         for i in range(_ROUNDS if len(box) > 1 else 0):
-            before = contest.best
-            if contest.reached > contest.tried / 2:
+            before, sure = contest.best, contest.sure
+            if sure and i:
                 break
             tell("looking elsewhere", 0.7 + 0.1 * i)
-            for theta in starts_elsewhere(model, data, before, box, _ELSEWHERE):
+            for theta in starts_elsewhere(model, data, before, box, 2 if sure else _ELSEWHERE):
                 contest.enter(_fresh(model, data, theta))
             if contest.best is before:
                 break
@@ -149,6 +151,12 @@ class _Contest:
     def reached(self) -> int:
         """How many starts led to the best."""
         return sum(n for cost, _, n in self.fits if cost - self.fits[0][0] < ALIKE)
+
+    @property
+    def sure(self) -> bool:
+        """Whether most starts agree on the best, and it fits."""
+        poor = not self.data.groups and self.best.components.chi2 > _POOR * self.data.samples
+        return not poor and 2 * self.reached > self.tried
 
     def enter(self, start: Settled, count: int = 1) -> None:
         """Settle from a start that stands for `count`."""
