@@ -147,8 +147,7 @@ class _LevenbergMarquardt(optx.LevenbergMarquardt):
         return stop | refused | nothing | (state.num_steps >= args), result
 
 
-@soon_compiled
-def minimise(problem: Problem, start: Point, steps) -> End:
+def _minimise(problem: Problem, start: Point, steps) -> End:
     """The conditional mode near `start`, by optimistix's Levenberg-Marquardt, after `steps`
     steps at most."""
     # Traced once for all the places in which the solver calls it.
@@ -166,6 +165,10 @@ def minimise(problem: Problem, start: Point, steps) -> End:
     r = _stacked(problem, point, problem.weights * rows[..., -1])
     chi2 = sum(jnp.sum(part**2) for part in r) / problem.trust**2
     return End(point, rows, model, jumps, chi2, solution.stats["num_steps"])
+
+
+minimise = eqx.filter_jit(_minimise)
+minimise_soon = soon_compiled(_minimise)
 
 
 class Components(NamedTuple):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from difffric import parameters
 from difffric.coordinates import LINEAR, START, Layout
 from difffric.errors import NumericalError
-from difffric.fit_data import FitData, padded
+from difffric.fit_data import RECORDINGS, FitData, padded
 from difffric.mixed import (
     MAX_STEPS,
     PADDING,
@@ -25,6 +25,7 @@ from difffric.mixed import (
     covariance_and_step,
     linear_model,
     minimise,
+    minimise_soon,
 )
 from difffric.rig import Rig
 
@@ -138,7 +139,9 @@ def descend(
     model: Model, data: FitData, at: Settled, held, weights, scatter, trust, steps=MAX_STEPS
 ) -> End:
     """The conditional mode near a point, for these weights and this scatter."""
-    return minimise(*_descent(model, data, at, held, weights, scatter, trust, steps))
+    # Whole recordings run for longer than they compile.
+    run = minimise if data.kind == RECORDINGS else minimise_soon
+    return run(*_descent(model, data, at, held, weights, scatter, trust, steps))
 
 
 def descent_to_compile(model: Model, data: FitData, at: Settled):
