@@ -27,6 +27,8 @@ from tests.reference import data as reference
 
 RATE = 2e5
 """[Hz]"""
+REST = 0.105
+"""[s] after the part has stopped: 0.2 s a recording on average"""
 ROUGH = {"mu_s": 0.2, "k": 4e5, "b": 3000.0, "k_v": 5.0}
 
 
@@ -39,7 +41,7 @@ def recordings() -> tuple[float, Recordings]:
     rng = np.random.default_rng(5)
     made = []
     for push in reference.make_pushes(rig, rng):
-        x = reference.record(push, rng, rate=RATE)
+        x = reference.record(push, rng, rate=RATE, after=REST)
         force = Channel.of(x.force, x.dt, x.start, "N")
         position = Channel.of(x.position, x.dt, x.start, "m")
         made.append(

@@ -122,7 +122,7 @@ def fit_report(answer: Answer, pictures: bool) -> Report:
             (
                 "Standard errors come from the noise as it is known or estimated, and from the "
                 "scatter of mu_s; they are not scaled by the reduced chi-square, except in the "
-                "last column. Intervals are from the t-distribution.",
+                "last column.",
             ),
             [_parameters(fit), *_open(fit), *_correlations(fit)],
             _correlation_picture(fit) if pictures else (),

@@ -44,7 +44,7 @@ class Fit:
     ahead: NDArray
     """(free,) how far beyond its bound the unbounded estimate of one that is held lies"""
     freedom: NDArray
-    """(free,) degrees of freedom of the t-distribution of each (Satterthwaite)"""
+    """(free,) degrees of freedom of the t-distribution of each: `mixed.components`"""
     scatter: float
     """relative standard deviation of mu_s from push to push"""
     scatter_se: float
