@@ -189,7 +189,7 @@ def test_bounds_hold_and_priors_pull(table):
     extras = {"k_N_per_m": Extras(lower=8.1e5)}
     bounded = df.fit(Setup(rough(), None, extras), table)
     assert bounded.value("k_N_per_m") == pytest.approx(8.1e5)
-    assert "k_N_per_m" in bounded.held
+    assert bounded.held == ("k_N_per_m",)
     assert {"parameters": ["k_N_per_m"], "reason": "at its lower bound, 810000"} in (
         bounded.not_identifiable
     )

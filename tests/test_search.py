@@ -53,22 +53,26 @@ def test_where_the_model_is_smooth_the_linear_likelihood_is_the_integral():
     assert minus_2_log_likelihood(model, data, at) == pytest.approx(linear, abs=0.2)
 
 
-@pytest.mark.parametrize(
-    "case", [119, *(pytest.param(i, marks=pytest.mark.slow) for i in (16, 63, 269))]
-)
-def test_a_search_that_few_starts_agree_in_goes_on_elsewhere(case):
-    """Cases whose first search ends in a wrong valley, with a scatter that hides it or not.
+CASES = [
+    119,
+    *(pytest.param(case, marks=pytest.mark.slow) for case in (16, 269)),
+    pytest.param(
+        63,
+        marks=[pytest.mark.slow, pytest.mark.xfail(reason="ends 0.11 units from the best optimum")],
+    ),
+]
 
-    Half a unit of -2 log-likelihood is between optima that no data tell apart; the wrong valleys
-    are 1 (case 119), 18 and hundreds of units off.
-    """
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_search_that_few_starts_agree_in_goes_on_elsewhere(case):
+    """Cases whose first search ends in a wrong valley, with a scatter that hides it or not."""
     rig, guess, pushes, data = study.draw("tables", case)
     fit = df.fit(study.as_library(guess), data)
     truth = study.from_truth(fit, rig, np.array([p.mu_s for p in pushes]))
     assert truth is not None
     model, measured, at = fit.work
     reached = minus_2_log_likelihood(model, measured, at)
-    assert reached < minus_2_log_likelihood(model, measured, truth) + 0.5
+    assert reached < minus_2_log_likelihood(model, measured, truth) + 0.1
 
 
 @pytest.mark.parametrize("phi", [0.0, 0.5, 0.9])

@@ -115,15 +115,15 @@ def test_cases_are_drawn_from_their_own_seed():
 
 
 def test_the_study_runs_is_resumed_and_passes_over_a_line_cut_short(tmp_path):
-    study.run("tables", tmp_path, 1)
+    study.run("tables", tmp_path, 3, (3, 3))  # case 2 alone
     path = tmp_path / "tables.jsonl"
     first = path.read_text()
     (found,) = study.load(tmp_path, "tables")
-    assert "error" not in found and found["converged"]
+    assert "error" not in found and found["converged"] and figures.reached(found)
     assert all(math.isfinite(found["parameters"][name]["se"]) for name in figures.LABELS)
-    assert json.loads(first)["truth"] == study.true_values(study.draw("tables", 0)[0])
+    assert json.loads(first)["truth"] == study.true_values(study.draw("tables", 2)[0])
     path.write_text(first + first[:50])
-    study.run("tables", tmp_path, 1)
+    study.run("tables", tmp_path, 3, (3, 3))
     assert path.read_text() == first + first[:50]
     text = figures.markdown({"tables": study.load(tmp_path, "tables")}, "code")
     assert "| rigs | 1 |" in text

@@ -42,6 +42,6 @@ def _known_options() -> dict[str, Any] | None:
     # Asked at the first use: at import there may be no device yet.
     try:
         jax.jit(lambda x: x, compiler_options=_OPTIONS).lower(0.0).compile()
-    except Exception:
+    except jax.errors.JaxRuntimeError:  # it knows no such option
         return None
     return _OPTIONS

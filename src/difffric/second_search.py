@@ -35,15 +35,17 @@ def starts_elsewhere(
 ) -> list[NDArray]:
     """At most `most` points (P,) in other basins than `at` and each other, the best first."""
     layout = model.layout
-    covariance = full_covariance(model, data, at) + _LEAST**2 * np.eye(layout.n_free)
+    # By eigenvalues: one that nothing determines leaves no digits to the others.
+    variance, axes = np.linalg.eigh(full_covariance(model, data, at))
+    variance = np.maximum(variance, 0.0) + _LEAST**2
     u = qmc.Sobol(layout.n_free + 1, scramble=False).random_base2(int(np.log2(_POOL)))
     size = np.exp(np.log(_FARTHEST) * u[:, -1:])
     normal = ndtri(np.clip(u[:, :-1], 1e-4, 1 - 1e-4))
-    theta = at.theta + size * (normal @ np.linalg.cholesky(covariance).T)
+    theta = at.theta + size * (normal * np.sqrt(variance)) @ axes.T
     theta = np.clip(theta, layout.lower, layout.upper)
     theta = np.concatenate([theta, pool(model, data, box)])
     rank = _rank(model, data, at, theta)
-    inverse = np.linalg.inv(covariance)
+    inverse = (axes / variance) @ axes.T
     chosen = [at.theta]
     for point in theta[np.argsort(rank, kind="stable")]:
         if all((point - x) @ inverse @ (point - x) > _APART**2 for x in chosen):
