@@ -12,6 +12,7 @@ from jax import Array
 
 from difffric import parameters
 from difffric import push as sim
+from difffric.march import March, Marcher, RungeKutta
 from difffric.rig import Rig
 
 
@@ -44,7 +45,53 @@ def observe(rig: Rig, velocity, integrator: sim.Integrator | None = None) -> Obs
 
 @eqx.filter_jit
 def _observed(push: sim.Push) -> Observables:
+    if isinstance(push.integrator, RungeKutta):
+        marcher = push.integrator.marcher(push.rig, push.velocity)
+        return marched(marcher, marcher.last())
     return observables(push, push.last_state())
+
+
+def marched(marcher: Marcher, m: March) -> Observables:
+    """Read F_p, d and the regime off the end of a march."""
+    rig, c = marcher.motion.rig, m.course
+    too_many = m.contacts > sim.MAX_CONTACTS
+    lost_track = m.lost_track | ~m.over | ~jnp.isfinite(m.peak)
+    for_ever = m.endless & ~c.stopped
+    left = m.lost & ~c.touching
+    reason = jnp.select(
+        [too_many, lost_track, for_ever, ~left],
+        [sim.TOO_MANY_CONTACTS, sim.NOT_FOLLOWED, sim.NEVER_RELEASED, sim.RESTS_IN_CONTACT],
+        sim.OK,
+    )
+    regime = jnp.select(
+        [~c.moved, ~left, m.lost_moving],
+        [sim.NO_MOTION, sim.PUSHED_TO_REST, sim.RELEASED_BY_REBOUND],
+        sim.RELEASED_AT_STOP,
+    )
+    sensor, probe = rig.force_sensor, rig.probe
+    peak = m.sensed.peak if sensor.filtered or sensor.sampled else m.peak
+    x, x_lost = marcher.motion.position(m.s), m.x_lost
+    if marcher.motion.bristles is not None:
+        # Let go, the bristles stand upright, but for what holds the part on a slope.
+        x = x - m.s.q - rig.slope / marcher.motion.bristles.stiffness
+    if probe.late:
+        x_lost = jnp.where(m.sensed.crossed, m.sensed.x_lost, x_lost)
+    return Observables(
+        peak_force=jnp.where(too_many | lost_track, jnp.nan, sensor.read(peak)),
+        sliding_distance=jnp.where(reason != sim.OK, jnp.nan, probe.scale * (x - x_lost)),
+        reason=reason,
+        regime=regime,
+        stuck_first=m.stuck_first,
+        contacts=m.contacts,
+        kind=_kind(regime, m.stuck_first, m.contacts, m.sticks, m.peak_contact),
+    )
+
+
+def _kind(regime, stuck_first, *counts):
+    kind = regime + 4 * stuck_first
+    for count in counts:
+        kind = kind * 1024 + count
+    return kind
 
 
 def observables(push: sim.Push, state: sim.State) -> Observables:
@@ -72,15 +119,15 @@ def observables(push: sim.Push, state: sim.State) -> Observables:
         [sim.NO_MOTION, sim.PUSHED_TO_REST, sim.RELEASED_BY_REBOUND],
         sim.RELEASED_AT_STOP,
     )
-    kind = regime + 4 * state.stuck_first
-    for count in (state.contacts, state.sticks, state.peak_contact):
-        kind = kind * 1024 + count
+    counts = state.contacts, state.sticks, state.peak_contact
+    peak = push.rig.force_sensor.read(state.peak)
+    slid = push.rig.probe.scale * state.slid
     return Observables(
-        peak_force=jnp.where(lost_track | too_many | too_long, jnp.nan, state.peak),
-        sliding_distance=jnp.where(reason != sim.OK, jnp.nan, state.slid),
+        peak_force=jnp.where(lost_track | too_many | too_long, jnp.nan, peak),
+        sliding_distance=jnp.where(reason != sim.OK, jnp.nan, slid),
         reason=reason,
         regime=regime,
         stuck_first=state.stuck_first,
         contacts=state.contacts,
-        kind=kind,
+        kind=_kind(regime, state.stuck_first, *counts),
     )

@@ -10,15 +10,16 @@ import jax
 import jax.numpy as jnp
 
 from difffric.errors import InputError
+from difffric.friction import innermost
 from difffric.pusher import ConstantSpeed
 from difffric.rig import Rig
 
 RIG_PARAMETERS: dict[str, Callable[[Any], Any]] = {
-    "mu_s": lambda rig: rig.friction.mu_s,
-    "mu_k_over_mu_s": lambda rig: rig.friction.mu_k_over_mu_s,
-    "k_v_N_s_per_m": lambda rig: rig.friction.k_v,
-    "k_N_per_m": lambda rig: rig.contact.k,
-    "b_N_s_per_m": lambda rig: rig.contact.b,
+    "mu_s": lambda rig: innermost(rig.friction).mu_s,
+    "mu_k_over_mu_s": lambda rig: innermost(rig.friction).mu_k_over_mu_s,
+    "k_v_N_s_per_m": lambda rig: innermost(rig.friction).k_v,
+    "k_N_per_m": lambda rig: innermost(rig.contact).k,
+    "b_N_s_per_m": lambda rig: innermost(rig.contact).b,
     "mass_kg": lambda rig: rig.mass,
 }
 """SI parameters of the laws of equations (1) and (2). mu_k follows mu_s by the ratio."""
@@ -57,7 +58,7 @@ def with_values(rig: Rig, new: Mapping[str, Any]) -> Rig:
 
 def with_stroke(rig: Rig, stroke) -> Rig:
     """The rig whose pusher stops after `stroke` [m]; None: at the first loss of contact."""
-    return eqx.tree_at(lambda r: r.pusher, rig, ConstantSpeed(stroke))
+    return eqx.tree_at(lambda r: innermost(r.pusher), rig, ConstantSpeed(stroke))
 
 
 def as_arrays(tree: Any) -> Any:

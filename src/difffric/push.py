@@ -6,7 +6,7 @@ once through its modes in their natural order; a push of one contact is one cycl
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -15,12 +15,10 @@ from jax import Array
 from difffric.closed_form import ClosedForm
 from difffric.errors import require_float64
 from difffric.legs import CATCH, HALT, NONE, RELEASE, STOP, TURN, Leg
+from difffric.march import MAX_CONTACTS, RungeKutta
+from difffric.motion import CLOSING, FREE, REBOUNDING, STUCK
 from difffric.rig import Rig
 
-STUCK, CLOSING, REBOUNDING, FREE = range(4)
-"""Modes: held by friction (in contact or not); pushed, w >= 0; pushed, w < 0; sliding free."""
-
-MAX_CONTACTS = 16
 MAX_CYCLES = 1000
 
 OK, RESTS_IN_CONTACT, NEVER_RELEASED, NEVER_RESTS, TOO_MANY_CONTACTS, TOO_MANY_CYCLES = range(6)
@@ -85,7 +83,8 @@ def _select(condition, new, old):
 
 
 class Integrator(Protocol):
-    """What solves the legs of a push: `ClosedForm` where every law is affine, else `Diffrax`."""
+    """What solves the legs of a push: `ClosedForm`, or `Diffrax` as a reference. `RungeKutta`
+    follows a push by itself."""
 
     def check(self, rig: Rig) -> None: ...
     def breakaway(self, rig: Rig, v_p) -> Array: ...
@@ -96,22 +95,17 @@ class Integrator(Protocol):
     def free_state(self, rig: Rig, u, t) -> tuple[Array, Array]: ...
 
 
-def default_integrator(rig: Rig) -> Integrator:
-    """The integrator that serves the rig."""
-    if rig.affine:
-        return ClosedForm()
-    # Imported only where it is needed: it costs a good part of a command's start.
-    from difffric.integrate import Diffrax
-
-    return Diffrax()
+def default_integrator(rig: Rig) -> Any:
+    """The integrator that serves the rig: the closed form where every law is affine."""
+    return ClosedForm() if rig.affine else RungeKutta()
 
 
 class Push(NamedTuple):
-    """A rig, a speed [m/s] and an integrator: what one push is made of."""
+    """A rig, the speed [m/s] that its pusher comes to and an integrator: what one push is of."""
 
     rig: Rig
     velocity: Array
-    integrator: Integrator
+    integrator: Any
 
     @classmethod
     def of(cls, rig: Rig, velocity, integrator: Integrator | None = None) -> Push:
@@ -120,7 +114,7 @@ class Push(NamedTuple):
         if integrator is None:
             integrator = default_integrator(rig)
         integrator.check(rig)
-        return cls(rig, velocity, integrator)
+        return cls(rig, rig.pusher.speed(velocity), integrator)
 
     @property
     def once(self) -> bool:

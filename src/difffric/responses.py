@@ -27,6 +27,9 @@ Array = Any  # NumPy's outside a compiled program, JAX's within
 TRACE_CYCLES = 64
 """Cycles through the modes that a fitted recording is followed for."""
 
+TRACE_STRIDES = 512
+"""Steps that it is followed for where it is integrated."""
+
 
 class Rows(NamedTuple):
     """One push's rows [J | r], and what the model says besides."""
@@ -124,11 +127,12 @@ class TracePush(NamedTuple):
         def residual(c):
             at = _stroked(rig_at(rig, c), self.stroke)
             push = Push.of(at, self.velocity, integrator)
-            trajectory = Trajectory.of(parameters.as_arrays(push), TRACE_CYCLES)
+            trajectory = Trajectory.of(parameters.as_arrays(push), TRACE_CYCLES, TRACE_STRIDES)
             offset = to_value(START, c[-1])
-            force, position, _ = trajectory.evaluate(jnp.asarray(self.force.t) - offset)
-            if self.position.t is not None:
-                _, position, _ = trajectory.evaluate(self.position.t - offset)
+            t_force = jnp.asarray(self.force.t) - offset
+            own = self.position.t is not None
+            t_position = self.position.t - offset if own else t_force
+            force, position = trajectory.read(t_force, t_position)
             rows = (_whitened(self.force, force), _centred(self.position, position))
             seen = trajectory.observables
             model = jnp.stack([seen.peak_force, seen.sliding_distance])

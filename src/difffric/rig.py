@@ -24,19 +24,30 @@ class Rig(eqx.Module):
     mass: Float[Array, ""] | float
     friction: AbstractFriction
     contact: AbstractContact
-    pusher: ConstantSpeed = ConstantSpeed()
-    force_sensor: ForceSensor = ForceSensor()
-    probe: Probe = Probe()
+    pusher: Any = ConstantSpeed()
+    force_sensor: Any = ForceSensor()
+    probe: Any = Probe()
 
     @property
     def F_N(self) -> Any:
-        """Normal force m g [N]."""
-        return self.mass * GRAVITY
+        """Normal force [N] where the push starts: m g on level rails."""
+        return self.load(0.0, False)
+
+    def load(self, x, beyond) -> Any:
+        """Normal force [N] at the position x [m]; `beyond`: past the friction's `edge`."""
+        return self.friction.load(self.mass * GRAVITY, x, beyond)
+
+    @property
+    def slope(self) -> Any:
+        """What gravity itself holds against the push [N]: 0 on level rails."""
+        return self.friction.slope(self.mass * GRAVITY)
 
     @property
     def affine(self) -> bool:
-        """Whether every segment of a push has a closed form."""
-        return self.friction.affine and self.contact.affine
+        """Whether every segment of a push has a closed form, and what is read of it too."""
+        laws = self.friction.affine and self.contact.affine and self.pusher.constant
+        sensors = self.force_sensor.filtered or self.force_sensor.sampled or self.probe.late
+        return laws and not sensors
 
     def approaching(self, z, w, u):
         """Equation (2) while the tip closes in on the part: x'' [m/s^2]."""
@@ -56,7 +67,7 @@ class Rig(eqx.Module):
         These are the physical signs: the paper prints -F(t) alone on the right and the contact
         on the left, which would pull the part away from the push.
         """
-        return (F_contact - self.friction.sliding(u, self.F_N)) / self.mass
+        return (F_contact - self.friction.sliding(u, self.F_N) - self.slope) / self.mass
 
 
 def spring_damper_rig(

@@ -11,7 +11,8 @@ from jaxtyping import Array, ArrayLike, Float
 
 from difffric import parameters
 from difffric.errors import InputError
-from difffric.observables import Observables, observables
+from difffric.march import Path, RungeKutta
+from difffric.observables import Observables, marched, observables
 from difffric.push import (
     CLOSING,
     FREE,
@@ -26,6 +27,9 @@ from difffric.push import (
 from difffric.rig import Rig
 from difffric.setup_file import checked
 
+STRIDES = 1024
+"""Steps that a trajectory keeps at most where a push is integrated."""
+
 
 class Trajectory(eqx.Module):
     """One push from t = 0 to rest: `.force(t)`, `.position(t)`, `.speed(t)` and the
@@ -35,10 +39,16 @@ class Trajectory(eqx.Module):
     push: Push
     segments: Segment
     observables: Observables
+    path: Path | None = None
+    """the strides of a push that was integrated step by step; each is a segment"""
 
     @classmethod
-    def of(cls, push: Push, cycles: int = MAX_CYCLES) -> Trajectory:
-        """Follow a push, for so many cycles through the modes at most."""
+    def of(cls, push: Push, cycles: int = MAX_CYCLES, strides: int = STRIDES) -> Trajectory:
+        """Follow a push, for so many cycles through the modes (or strides) at most."""
+        if isinstance(push.integrator, RungeKutta):
+            marcher = push.integrator.marcher(push.rig, push.velocity)
+            march, path = marcher.path(strides)
+            return cls(push, _segments(path), marched(marcher, march), path)
         state, segments = push.segments(cycles)
         return cls(push, segments, observables(push, state))
 
@@ -65,6 +75,8 @@ class Trajectory(eqx.Module):
     @property
     def stop_time(self):
         """When the part comes to rest for good [s] (its last segment's start)."""
+        if self.path is not None:
+            return self.path.end.s.t
         t = self.segments.t
         return jnp.max(jnp.where(jnp.isfinite(t), t, 0.0))
 
@@ -87,11 +99,41 @@ class Trajectory(eqx.Module):
         """
         return _evaluate(self, jnp.asarray(t, float))
 
+    def read(self, t_force, t_position):
+        """What the sensors read: force [N] and position [m], each at its own times [s]."""
+        return _read(self, jnp.asarray(t_force, float), jnp.asarray(t_position, float))
+
 
 @jax.jit
 def _evaluate(trajectory: Trajectory, t):
-    at = jnp.vectorize(lambda time: _at(trajectory, time), signature="()->(),(),()")
-    return at(t)
+    def at(time):
+        if trajectory.path is not None:
+            return trajectory.path.evaluate(time)
+        return _at(trajectory, time)
+
+    return jnp.vectorize(at, signature="()->(),(),()")(t)
+
+
+@jax.jit
+def _read(trajectory: Trajectory, t_force, t_position):
+    sensor, probe = trajectory.push.rig.force_sensor, trajectory.push.rig.probe
+    if sensor.filtered:
+        force = jnp.vectorize(trajectory.path.filtered)(t_force)
+    else:
+        force = _evaluate(trajectory, t_force)[0]
+    return sensor.read(force), probe.scale * _evaluate(trajectory, t_position - probe.delay)[1]
+
+
+def _segments(path: Path) -> Segment:
+    """The strides as segments."""
+
+    def start(stride):
+        return stride.point(path.motion, 0.0), path.motion.tip(
+            stride.course, stride.point(path.motion, 0.0)
+        )[1]
+
+    s, v_p = jax.vmap(start)(path.strides._replace(h=jnp.maximum(path.strides.h, 1e-30)))
+    return Segment(path.strides.course.mode, path.strides.t, s.y, v_p, s.z, s.u)
 
 
 def _at(trajectory: Trajectory, time):

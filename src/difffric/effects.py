@@ -1,0 +1,200 @@
+"""The catalogue of effects: what may be added to equations (1), (2) and the sensors.
+
+An effect is a law around a law of its component (a class of `friction`, `contact`, `pusher` or
+`sensors`), with the keys that files write and the values at which it vanishes. To add one, write
+its class and give it a line in `CATALOGUE`, in the order in which laws stand around each other:
+inner ones first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from difffric import contact, friction, pusher, sensors
+from difffric.errors import InputError
+from difffric.rig import Rig
+
+FRICTION, CONTACT, PUSHER, FORCE, PROBE = "friction", "contact", "pusher", "force_sensor", "probe"
+
+
+@dataclass(frozen=True)
+class Key:
+    """One number of an effect as files write it."""
+
+    name: str
+    field: str
+    null: float
+    """what makes the effect vanish; of a shape parameter, any value does"""
+    typical: float
+    """a size that one may meet"""
+    lower: float = 0.0
+    upper: float = jnp.inf
+    inverse: bool = False
+    """whether the law holds the number's inverse, so that its null is a number"""
+    fixed: bool = False
+    """whether a fit leaves it alone unless asked"""
+
+    def to_law(self, value):
+        """The law's number for the file's."""
+        return 1.0 / value if self.inverse else value
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One entry of the catalogue."""
+
+    id: str
+    component: str
+    law: Callable[..., Any]
+    keys: tuple[Key, ...]
+    text: str
+    """what a person reads"""
+    given: tuple[str, ...] = ()
+    """fields that each push's record says"""
+
+    def nulls(self) -> dict[str, float]:
+        """Key -> the value at which the effect vanishes."""
+        return {key.name: key.null for key in self.keys}
+
+
+def _free(name, field, typical, **more) -> Key:
+    return Key(name, field, more.pop("null", 0.0), typical, **more)
+
+
+_INF = float("inf")
+_ANY = {"lower": -_INF}
+_LIST = (
+    Effect("tilt", FRICTION, friction.Tilt, (_free("alpha_rad", "alpha", 0.01, **_ANY),),
+           "the rails are tilted"),
+    Effect("normal_force", FRICTION, friction.ExtraLoad, (_free("extra_N", "extra", 10.0, **_ANY),),
+           "a normal force beside the weight"),
+    Effect("friction_drift", FRICTION, friction.Drift, (_free("drift", "drift", 0.1, lower=-1.0),),
+           "friction drifts over the order of the pushes", given=("share",)),
+    Effect("friction_waviness", FRICTION, friction.Waviness,
+           (_free("amplitude", "amplitude", 0.1, lower=-1.0, upper=1.0),
+            _free("wavelength_m", "wavelength", 1e-3, null=1e-3),
+            _free("phase_rad", "phase", 0.0, **_ANY)),
+           "friction waves along the rails"),
+    Effect("friction_patch", FRICTION, friction.Patch,
+           (_free("amplitude", "amplitude", 0.2, lower=-1.0),
+            _free("start_m", "start", 1e-3, null=1e-3)),
+           "friction changes at a place"),
+    Effect("stribeck", FRICTION, friction.Stribeck,
+           (_free("v_s_m_per_s", "v_s", 0.02), _free("delta", "delta", 2.0, null=2.0, fixed=True)),
+           "sliding friction falls from mu_s with speed (Stribeck)"),
+    Effect("quadratic_drag", FRICTION, friction.QuadraticDrag,
+           (_free("c_N_s2_per_m2", "c", 200.0),), "drag grows as the square of the speed"),
+    Effect("static_dwell", FRICTION, friction.Dwell,
+           (_free("amplitude", "amplitude", 0.03),
+            _free("tau_s", "tau", 1.0, null=1.0, fixed=True)),
+           "static friction grows with the rest before the push", given=("rest",)),
+    Effect("presliding", FRICTION, friction.Presliding,
+           (_free("sigma_0_N_per_m", "sigma_0", 1e7, null=_INF),
+            _free("sigma_1_N_s_per_m", "sigma_1", 100.0)),
+           "bristles bend before they slip (LuGre)"),
+    Effect("rebound_damping", CONTACT, contact.ReboundDamping,
+           (_free("share", "share", 0.3, upper=1.0),), "the damper acts on rebound too"),
+    Effect("contact_hardening", CONTACT, contact.Hardening,
+           (_free("exponent", "exponent", 1.3, null=1.0, lower=1.0, upper=3.0),),
+           "the contact stiffens with compression"),
+    Effect("initial_gap", CONTACT, contact.InitialGap, (_free("gap_m", "gap", 5e-5),),
+           "the pusher starts a gap away"),
+    Effect("pusher_speed", PUSHER, pusher.SpeedError,
+           (_free("factor", "factor", 1.02, null=1.0),), "the pusher's true speed differs"),
+    Effect("pusher_ramp", PUSHER, pusher.Ramp,
+           (_free("acceleration_m_per_s2", "slowness", 10.0, null=_INF, inverse=True),),
+           "the pusher accelerates over a while"),
+    Effect("pusher_lag", PUSHER, pusher.Lag, (_free("tau_s", "tau", 1e-3),),
+           "the pusher's speed lags its command"),
+    Effect("pusher_ripple", PUSHER, pusher.Ripple,
+           (_free("amplitude", "amplitude", 0.05, lower=-1.0, upper=1.0),
+            _free("period_m", "period", 1e-3, null=1e-3),
+            _free("phase_rad", "phase", 0.0, **_ANY)),
+           "the pusher's speed ripples along its travel"),
+    Effect("force_lowpass", FORCE, sensors.Lowpass, (_free("tau_s", "tau", 1e-4),),
+           "the force channel's bandwidth is finite"),
+    Effect("force_highpass", FORCE, sensors.Highpass,
+           (_free("tau_s", "leak", 0.5, null=_INF, inverse=True),), "the piezo's charge leaks"),
+    Effect("force_gain", FORCE, sensors.Gain, (_free("factor", "factor", 1.02, null=1.0),),
+           "the force sensor's sensitivity differs"),
+    Effect("force_offset", FORCE, sensors.Offset, (_free("offset_N", "offset", 1.0, **_ANY),),
+           "the force sensor's zero is off"),
+    Effect("force_saturation", FORCE, sensors.Saturation,
+           (_free("level_N", "level", 150.0, null=_INF),), "the force channel saturates"),
+    Effect("sample_clipping", FORCE, sensors.SampledPeak,
+           (_free("rate_Hz", "spacing", 2000.0, null=_INF, inverse=True),),
+           "the peak falls between slow samples"),
+    Effect("probe_scale", PROBE, sensors.ProbeScale, (_free("factor", "factor", 1.01, null=1.0),),
+           "the probe's scale differs"),
+    Effect("release_threshold", PROBE, sensors.ReleaseThreshold,
+           (_free("threshold_N", "level", 5.0),), "loss of contact is taken at a force threshold"),
+    Effect("channel_skew", PROBE, sensors.ChannelSkew, (_free("delay_s", "skew", 1e-4),),
+           "the position lags the force"),
+)  # fmt: skip
+CATALOGUE: dict[str, Effect] = {effect.id: effect for effect in _LIST}
+"""id -> effect. `friction_ratio` is `mu_k_over_mu_s`, a parameter of equation (1) itself."""
+
+RATIO = "friction_ratio"
+
+
+def extended(rig: Rig, effects: Mapping[str, Mapping[str, Any]]) -> Rig:
+    """The rig with these effects: id -> {key: value [SI]}; keys that are missing are null.
+
+    Raises `InputError` for an unknown effect or key.
+    """
+    unknown = [x for x in effects if x not in CATALOGUE and x != RATIO]
+    if unknown:
+        known = ", ".join([*CATALOGUE, RATIO])
+        raise InputError(f"no such effect: {', '.join(unknown)}; known: {known}")
+    if RATIO in effects:
+        where = lambda r: friction.innermost(r.friction).mu_k_over_mu_s  # noqa: E731
+        rig = eqx.tree_at(where, rig, effects[RATIO]["ratio"])
+    for effect in _LIST:
+        if effect.id in effects:
+            rig = _around(rig, effect, effects[effect.id])
+    return rig
+
+
+def universal(rig: Rig) -> Rig:
+    """The rig with every effect that vanishes at some value, at that value: one structure, and so
+    one compiled program, for all of them. Bristles have no such value."""
+    every = {e.id: {} for e in _LIST if e.id != "presliding"}
+    return extended(rig, every)
+
+
+def _around(rig: Rig, effect: Effect, values: Mapping[str, Any]) -> Rig:
+    known = {key.name: key for key in effect.keys}
+    wrong = [name for name in values if name not in known and name not in effect.given]
+    if wrong:
+        raise InputError(
+            f"[effects.{effect.id}]: no such key: {', '.join(wrong)}; known: {', '.join(known)}"
+        )
+    fields = {k.field: k.to_law(values.get(k.name, k.null)) for k in effect.keys}
+    fields |= {name: values[name] for name in effect.given if name in values}
+    law = effect.law(getattr(rig, effect.component), **fields)
+    return eqx.tree_at(lambda r: getattr(r, effect.component), rig, law)
+
+
+def with_effects(rig: Rig, values: Mapping[str, Any]) -> Rig:
+    """An extended rig with some of its effects' numbers replaced, by `id.key` [SI]."""
+    new = {}
+    for name, value in values.items():
+        effect_id, _, key_name = name.partition(".")
+        effect = CATALOGUE[effect_id]
+        (key,) = [k for k in effect.keys if k.name == key_name]
+        new[effect.component, effect.law, key.field] = key.to_law(value)
+    for (component, law, field), value in new.items():
+        rig = eqx.tree_at(lambda r, c=component, w=law, f=field: _field(r, c, w, f), rig, value)
+    return rig
+
+
+def _field(rig: Rig, component: str, law, field: str):
+    at = getattr(rig, component)
+    while not isinstance(at, law):
+        at = at.law
+    return getattr(at, field)

@@ -1,0 +1,641 @@
+"""The integrator for any laws: a push followed step by step, in one loop for all its modes.
+
+Each turn of the loop is one Runge-Kutta step in the mode that holds. Where a guard falls through
+zero within the step, the step is cut there, and taken again until it ends on the event; a Taylor
+step then closes what is left of it, which also carries the event time's derivatives, exactly to
+second order. Two events within one step come in the order of their times, and a step that ends
+on one looks for the others too.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.lax import stop_gradient
+
+from difffric.motion import (
+    BOTTOM,
+    BREAK,
+    CLOSING,
+    CORNER,
+    EDGE,
+    FREE,
+    GRIP,
+    HALT,
+    REBOUNDING,
+    STOP,
+    STUCK,
+    SUMMIT,
+    TURN,
+    Course,
+    Motion,
+    Point,
+)
+from difffric.rig import Rig
+from difffric.sensing import Filtered, nothing, sense
+from difffric.stride import Stride
+from difffric.tableau import ERRORS_3, ERRORS_5, STAGES, WEIGHTS
+from difffric.units import GRAVITY
+
+MAX_CONTACTS = 16
+MAX_STEPS = 20_000
+MAX_REBOUNDS = 60
+"""Rebounds that a pusher without a stroke is followed for without a loss of contact."""
+
+MAX_HALTS = 1000
+"""Halts on bristles, after which a part that hardly swings any more counts as at rest."""
+
+_NO_EVENT = -1
+_FINEST = 1e-5  # of the push's own time
+_SETTLED = 1e-6  # of the bristles' slip force
+_CLOSE = 1e-4  # of a free step: an event this near to the end is reached by the Taylor step
+_SHARES = (0.25, 0.5, 0.75)  # of a step: where its inside is looked at for a dip
+_STEADY = 1e-9
+
+
+class March(NamedTuple):
+    """Where a push stands, and what has been counted and measured of it."""
+
+    s: Point
+    course: Course
+    h: Array
+    """the next free step [s]"""
+    target: Array
+    """the event that the next step is to end on, or -1"""
+    h_target: Array
+    contacts: Array
+    sticks: Array
+    lost: Array
+    lost_moving: Array
+    x_lost: Array
+    peak: Array
+    peak_contact: Array
+    summited: Array
+    slowed: Array
+    rebounds: Array
+    halts: Array
+    endless: Array
+    over: Array
+    steps: Array
+    strides: Array
+    """steps accepted"""
+    lost_track: Array
+    stuck_first: Array
+    sensed: Any
+    """what the sensors have seen, where they see more than the plain peak and release"""
+
+
+def _select(condition, new, old):
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)
+
+
+def _hermite(g_0, d_0, g_1, d_1, c_1):
+    """Coefficients of the quartic on [0, 1] with these values, slopes, and curvature at 1."""
+    # g_0 + d_0 x + x^2 (a + b x + c x^2)
+    r = g_1 - g_0 - d_0
+    s = d_1 - d_0
+    q = 0.5 * c_1
+    # a + b + c = r; 2a + 3b + 4c = s; a + 3b + 6c = q
+    a = 6 * r - 3 * s + q
+    b = -8 * r + 5 * s - 2 * q
+    c = 3 * r - 2 * s + q
+    return g_0, d_0, a, b, c
+
+
+def _value(p, x):
+    return p[0] + x * (p[1] + x * (p[2] + x * (p[3] + x * p[4])))
+
+
+def _slope(p, x):
+    return p[1] + x * (2 * p[2] + x * (3 * p[3] + x * 4 * p[4]))
+
+
+class Path(NamedTuple):
+    """A push as its strides, to be evaluated at any time."""
+
+    motion: Motion
+    strides: Stride
+    """stacked, padded with t = inf"""
+    filters: Array
+    """(strides, 2) states of the low-pass and the high-pass at each stride's start [N]"""
+    end: March
+
+    def _at(self, time):
+        """(stride, its index, share of it) at a time; the end's state beyond the last one."""
+        i = jnp.searchsorted(self.strides.t, time, side="right") - 1
+        i = jnp.clip(i, 0, self.strides.t.shape[0] - 1)
+        stride = jax.tree.map(lambda column: column[i], self.strides)
+        share = (time - stride.t) / stride.h
+        over = time >= self.end.s.t
+        course = _select(over, self.end.course, stride.course)
+        return stride._replace(course=course), i, jnp.clip(share, 0.0, 1.0), over
+
+    def evaluate(self, time):
+        """(contact force [N], position [m], speed [m/s]) at a time [s]; no force before 0."""
+        stride, _, share, over = self._at(time)
+        s = stride.point(self.motion, share)
+        end = self.end.s
+        s = _select(over, end, s._replace(q=end.q))
+        force = jnp.where(time >= 0, self.motion.force(stride.course, s), 0.0)
+        return force, self.motion.position(s), jnp.where(over, 0.0, s.u)
+
+    def filtered(self, time):
+        """The force that the sensor's filters let through [N]."""
+        sensor = self.motion.rig.force_sensor
+        if not sensor.filtered:
+            return self.evaluate(time)[0]
+        stride, i, share, over = self._at(time)
+        through = Filtered.of(sensor, stride.force_powers(self.motion), self.filters[i], stride.h)
+        # Nothing is followed beyond the end; the filters then forget what is left.
+        return jnp.where(time >= 0, through.value(share), 0.0)
+
+
+class Marcher(NamedTuple):
+    """A push to be followed: the motion and its scales."""
+
+    motion: Motion
+    z_0: Array
+    """about the compression under the part's own weight [m]"""
+    tol: float = 1e-9
+    looped: bool = False
+
+    @property
+    def senses(self) -> bool:
+        """Whether the sensors see more than the plain peak and release."""
+        sensor, probe = self.motion.rig.force_sensor, self.motion.rig.probe
+        return sensor.filtered or sensor.sampled or probe.late
+
+    @property
+    def u_0(self):
+        return jnp.sqrt(self.z_0 * GRAVITY)
+
+    @property
+    def time(self):
+        return jnp.sqrt(self.z_0 / GRAVITY)
+
+    def start(self) -> March:
+        """At rest, the pusher starting."""
+        rig, v = self.motion
+        zero, no = jnp.zeros(()), jnp.asarray(False)
+        gap = jnp.asarray(rig.contact.gap, float)
+        bristles = self.motion.bristles
+        course = Course(
+            mode=jnp.asarray(STUCK), touching=gap <= 0, moved=no, stopped=no, t_stop=zero,
+            V_stop=zero, beyond=no, risen=jnp.asarray(rig.pusher.ramp_time(v) <= 0),
+            way=jnp.ones(()),
+        )  # fmt: skip
+        # At rest on its bristles, which hold it against the slope.
+        q = None if bristles is None else -rig.slope / bristles.stiffness + zero
+        s = Point(zero, -gap, zero, zero, q)
+        at_once = self._breaks(course, s)
+        course = course._replace(mode=jnp.where(at_once, CLOSING, STUCK), moved=at_once)
+        m = March(
+            s=s, course=course, h=0.3 * stop_gradient(self.time) + zero, target=jnp.asarray(_NO_EVENT),
+            h_target=zero, contacts=jnp.where(gap <= 0, 1, 0), sticks=(~at_once).astype(int), lost=no,
+            lost_moving=no, x_lost=zero, peak=zero, peak_contact=jnp.asarray(1), summited=no, slowed=no,
+            rebounds=jnp.asarray(0), halts=jnp.asarray(0), endless=no, over=no, steps=jnp.asarray(0), strides=jnp.asarray(0), lost_track=no,
+            stuck_first=~at_once, sensed=nothing(self.motion) if self.senses else None,
+        )  # fmt: skip
+        return m._replace(over=self._rests(m))
+
+    def _breaks(self, course, s):
+        """Whether a part at rest in contact starts to slide at once."""
+        if self.motion.bristles is not None:
+            return course.touching
+        held = course._replace(mode=jnp.asarray(STUCK))
+        force = self.motion.force(held, s)
+        return course.touching & (force >= self.motion.breakaway(held, s))
+
+    def _rests(self, m: March):
+        """Whether the part is at rest for good: what travel the tip has left does not move it."""
+        c, s = m.course, m.s
+        V, dy = self.motion.tip(c, s)
+        left = jnp.where(c.stopped, self.motion.rig.pusher.lag() * V, jnp.inf)
+        z = s.z + left
+        force = self.motion.approach(jnp.where(jnp.isfinite(z), z, s.z), dy)
+        weak = force < self.motion.breakaway(c, s)
+        return (c.mode == STUCK) & c.stopped & ((z < 0) | weak)
+
+    def _settles(self, m: March, halt, a):
+        """Whether bristles hold the part for good, but for a motion too small to matter."""
+        c, s, rig = m.course, m.s, self.motion.rig
+        V, _ = self.motion.tip(c, s)
+        slip = rig.friction.law.sliding(jnp.zeros_like(s.u), self.motion.load(c, s))
+        calm = jnp.abs(a) * rig.mass < _SETTLED * slip
+        slow = jnp.abs(s.u) < _STEADY * self.u_0
+        spent = m.halts >= MAX_HALTS
+        away = jnp.where(c.touching, True, s.z + rig.pusher.lag() * V + jnp.abs(s.q) < 0)
+        still = V <= _STEADY * self.motion.v
+        return c.stopped & still & away & ((calm & (halt | slow)) | (spent & halt))
+
+    def step(self, m: March, record: bool = False) -> tuple[March, Stride | None]:
+        """One turn of the loop; also the step as a stride where one is asked for or needed."""
+        motion, c, s = self.motion, m.course, m.s
+        pusher = motion.rig.pusher
+        stuck = c.mode == STUCK
+
+        def field(p):
+            return motion.rates(c, p)
+
+        def along(p, r):
+            """Guards and N at p, and their rates where p's own are r."""
+            return jax.jvp(lambda q: motion.guards(c, q), (p,), (r,))
+
+        rate = field(s)
+        (g_0, N_0), (d_0, n_0) = along(s, rate)
+
+        # How far: to the event aimed at; at rest straight to the breakaway, as the force grows now.
+        aims = m.target >= 0
+        ahead = jnp.where(d_0[BREAK] < 0, g_0[BREAK] / -d_0[BREAK], jnp.inf)
+        wait = jnp.where(c.touching & (ahead < 1e3 * self.time), ahead, 1e3 * self.time)
+        at_once = stuck if pusher.constant else jnp.asarray(False)
+        wait = jnp.where(at_once, wait, jnp.where(stuck, jnp.minimum(wait, m.h), m.h))
+        # Where a law is not smooth at first touch, its derivatives are less so than its values:
+        # steps there shrink with the compression.
+        w = rate.z
+        touched = (c.mode == CLOSING) | (c.mode == REBOUNDING)
+        graded = jnp.where(w > 0, 1.5, 0.6) * s.z / jnp.maximum(jnp.abs(w), 1e-12 * self.u_0)
+        graded = jnp.where(
+            touched & motion.rig.contact.rough, jnp.maximum(graded, _FINEST * self.time), jnp.inf
+        )
+        h = jnp.where(aims, m.h_target, jnp.minimum(wait, graded))
+        aim = jnp.where(aims, m.target, jnp.where(stuck & c.touching, BREAK, _NO_EVENT))
+        if not pusher.constant:
+            corner = pusher.ramp_time(motion.v) - s.t
+            meets = ~c.risen & (corner <= h)
+            h = jnp.where(meets, corner, h)
+            aim = jnp.where(meets, CORNER, aim)
+        h = stop_gradient(h)
+
+        y, error = (_looped_step if self.looped else _rk_step)(field, s, rate, h)
+        scale = [self.z_0, self.u_0, self.z_0]
+        if motion.bristles is not None:
+            scale.append(self.z_0)
+        scale = stop_gradient(jnp.stack(scale))
+        # What goes wrong in contact is amplified by what follows, in a free slide it is not.
+        tol = self.tol * jnp.where(c.mode == FREE, 30.0, 1.0)
+        err = stop_gradient(jnp.max(error / scale) / tol)
+        err = jnp.where(jnp.isfinite(err), err, 1e9)
+        good = err <= 1
+
+        f_1 = field(y)
+        df_1 = jax.jvp(field, (y,), (f_1,))[1]
+        ((g_1, N_1), (d_1, n_1)), ((_, _), (c_1, nn_1)) = jax.jvp(along, (y, f_1), (f_1, df_1))
+        zero = jnp.zeros_like(h)
+        if not pusher.constant:
+            waits = ~c.risen
+            g_0[CORNER] = jnp.where(waits, corner, 1.0)
+            g_1[CORNER] = jnp.where(waits, corner - (y.t - s.t), 1.0)
+            d_0[CORNER] = d_1[CORNER] = jnp.where(waits, -1.0, 0.0)
+            c_1[CORNER] = zero
+        # The force is highest where its rate falls through zero, the part slowest where x'' rises.
+        closing = c.mode == CLOSING
+        rises = closing & ~m.summited & (n_0 > 0)
+        slow = closing & ~m.slowed & (rate.u < 0) & (jnp.minimum(s.u, y.u) < 0.05 * motion.v)
+        slopes = {
+            SUMMIT: (rises, (N_0, n_0, N_1, n_1, nn_1)),
+            BOTTOM: (slow, (-s.u, -rate.u, -y.u, -f_1.u, -df_1.u)),
+        }
+        for event, (on, (_, p_0, _, p_1, q_1)) in slopes.items():
+            g_0[event], g_1[event] = jnp.where(on, p_0, 1.0), jnp.where(on, p_1, 1.0)
+            d_1[event], c_1[event] = jnp.where(on, q_1, 0.0), 0.0
+
+        # Steady sliding before the tip has no events but the stop.
+        quiet = jnp.abs(g_0[TURN]) + jnp.abs(d_0[TURN]) * self.time < _STEADY * self.u_0
+        steady = ((c.mode == CLOSING) | (c.mode == REBOUNDING)) & quiet & ~c.stopped
+        deaf = {TURN, HALT, GRIP, SUMMIT, BOTTOM}
+
+        # The first guard that falls through zero within the step; `near` (a share of it) is so
+        # near an end that the Taylor step does the rest.
+        near = _CLOSE * jnp.maximum(m.h, h) / h
+        first, event = jnp.full_like(h, 2.0), jnp.full_like(m.target, _NO_EVENT)
+        miss_aim = jnp.full_like(h, jnp.inf)
+        jet = zero, zero + 1.0, zero
+        curve = (zero + 1.0, zero, zero, zero, zero)
+        for code in g_1:
+            jet_1 = g_1[code], d_1[code], c_1[code]
+            e, f = stop_gradient((g_1[code], d_1[code] * h))
+            if code in slopes:  # of a quantity that is known better than its rate
+                on, (v_0, p_0, v_1, p_1, q_1) = slopes[code]
+                q = _hermite(*stop_gradient((v_0, p_0 * h, v_1, p_1 * h, q_1 * h * h)))
+                rate_of = (q[1], 2 * q[2], 3 * q[3], 4 * q[4], zero)
+                p = tuple(jnp.where(on, r, i) for r, i in zip(rate_of, (1.0, 0, 0, 0, 0)))
+            else:
+                begin = g_0[code], d_0[code] * h, g_1[code], d_1[code] * h, c_1[code] * h * h
+                p = _hermite(*stop_gradient(begin))
+            where = jnp.where(e <= 0, 1.0, 2.0)
+            for share in _SHARES[::-1]:
+                where = jnp.where(_value(p, share) <= 0, share, where)
+            where = jnp.where(where > 0.3, where - 0.25 * _line(p, where), where)
+            if code in deaf:
+                where = jnp.where(steady, 2.0, where)
+            # An aim is reached from either side.
+            aimed = (aim == code) & (f < 0)
+            miss = jnp.where(aimed, jnp.abs(e / jnp.where(f == 0, 1.0, f)), jnp.inf)
+            miss_aim = jnp.minimum(miss_aim, miss)
+            where = jnp.where(miss < near, jnp.minimum(where, 1.0), where)
+            earlier = where < first
+            first = jnp.where(earlier, where, first)
+            event = jnp.where(earlier, code, event)
+            jet = _select(earlier, jet_1, jet)
+            curve = _select(earlier, p, curve)
+        passed = first <= 1.0
+        x = jnp.where((aim == event) & (miss_aim < near), 1.0, _root(curve, first))
+        arrived = good & passed & (x >= 1 - near)
+        # Beyond the event the law may not be smooth: a poor step is cut there too.
+        cut = passed & (x < 1 - near)
+        accept = good & ~cut
+
+        # The Taylor step from the end of the step to the event.
+        g, d, e = jet
+        d = jnp.where(d == 0, 1.0, d)
+        dt = -g / d
+        dt = dt - (g + d * dt + 0.5 * e * dt * dt) / (d + e * dt)
+        # A guard that grazes zero has no such step.
+        dt = jnp.where(arrived & (jnp.abs(dt) <= 3 * near * h), dt, 0.0)
+        at = jax.tree.map(lambda a, b, e: a + dt * b + 0.5 * dt * dt * e, y, f_1, df_1)
+        N_1 = N_1 + dt * (n_1 + 0.5 * dt * nn_1)
+        force = jnp.where(N_1 > N_0, N_1, N_0)
+        higher = accept & ~(force <= m.peak)
+
+        grow = jnp.clip(0.9 * jnp.maximum(err, 1e-9) ** (-1.0 / 8.0), 0.2, 4.0)
+        kept = jnp.maximum(m.h, jnp.where(at_once, 0.0, h))
+        done = self._pass(m, jnp.where(arrived, event, _NO_EVENT), at, f_1.u)
+        done = done._replace(
+            h=jnp.where(arrived | at_once | aims, kept, h * grow),
+            peak=jnp.where(higher, force, m.peak),
+            peak_contact=jnp.where(higher, m.contacts, m.peak_contact),
+        )
+        stride = None
+        if self.senses or record:
+            stride = self._stride(m, rate, y, f_1, df_1, h, dt)
+        if self.senses:
+            release = arrived & (event == GRIP) & (c.mode == REBOUNDING)
+            done = done._replace(sensed=sense(motion, m.sensed, stride, release))
+        again = m._replace(
+            target=jnp.where(cut, event, _NO_EVENT),
+            h_target=x * h,
+            h=jnp.where(good, m.h, h * jnp.clip(0.9 * err**-0.25, 0.1, 0.7)),
+        )
+        new = _select(accept, done, again)
+        lost = new.h < 1e-13 * self.time
+        for_ever = steady & pusher.stops_at_release()
+        new = new._replace(
+            steps=m.steps + 1,
+            strides=m.strides + accept,
+            over=new.over | lost | for_ever,
+            endless=new.endless | for_ever,
+            lost_track=m.lost_track | lost,
+        )
+        return new, stride
+
+    def _stride(self, m: March, rate, y: Point, f_1, df_1, h, dt) -> Stride:
+        """The step of h [s] from m.s to y, and the Taylor step dt [s] beyond it."""
+        motion, c = self.motion, m.course
+        df_0 = jax.jvp(lambda p: motion.rates(c, p), (m.s,), (rate,))[1]
+        h = jnp.maximum(h, 1e-12 * stop_gradient(self.time))
+        return Stride.of(motion, c, (m.s, rate, df_0), (y, f_1, df_1), h, 1 + dt / h)
+
+    def _pass(self, m: March, event, s: Point, a) -> March:
+        """What an event changes, at the state s; nothing for no event. a: the part's acceleration."""
+        motion, c = self.motion, m.course
+        pusher = motion.rig.pusher
+
+        def on(code):
+            return event == code
+
+        V, dy = motion.tip(c, s)
+        mode = c.mode
+        turn, halt, grip, stop = on(TURN), on(HALT), on(GRIP), on(STOP)
+        s = s._replace(u=jnp.where(turn, dy, jnp.where(halt | (mode == STUCK), 0.0, s.u)))
+        edge = motion.rig.contact.edge(dy - s.u)
+        s = s._replace(z=jnp.where(grip, edge, s.z))
+        release = grip & (mode == REBOUNDING)
+        catch = grip & (mode == FREE)
+        touch = grip & (mode == STUCK)
+        stands = release & pusher.stops_at_release() & ~c.stopped
+        stops = stop | stands
+        lost_moving = jnp.where(release, ~c.stopped, m.lost_moving)
+        c = c._replace(
+            stopped=c.stopped | stops,
+            t_stop=jnp.where(stops, s.t, c.t_stop),
+            V_stop=jnp.where(stops, V, c.V_stop),
+            touching=(c.touching & ~release) | catch | touch,
+            beyond=c.beyond | on(EDGE),
+            risen=c.risen | on(CORNER),
+        )
+        _, dy = motion.tip(c, s)
+        back = turn & (mode == REBOUNDING)
+        ends = back & c.stopped & (dy <= 0)
+        new = mode
+        new = jnp.where(turn & (mode == CLOSING), REBOUNDING, new)
+        new = jnp.where(back, jnp.where(ends, STUCK, CLOSING), new)
+        if motion.bristles is None:
+            new = jnp.where(halt, STUCK, new)
+        else:
+            c = c._replace(way=jnp.where(halt, jnp.where(a > 0, 1.0, -1.0), c.way))
+        new = jnp.where(release, FREE, new)
+        new = jnp.where(catch, jnp.where(dy - s.u >= 0, CLOSING, REBOUNDING), new)
+        new = jnp.where(stop & (mode == CLOSING) & (dy <= s.u), REBOUNDING, new)
+        new = jnp.where(on(BREAK), CLOSING, new)
+        # A rebound that would pull is over before it begins.
+        gone = (new == REBOUNDING) & (s.z < motion.rig.contact.edge(dy - s.u))
+        new = jnp.where(gone, FREE, new)
+        release = release | gone
+        lost_moving = jnp.where(gone, ~c.stopped, lost_moving)
+        c = c._replace(mode=new, touching=c.touching & ~gone)
+        held = (new == STUCK) & self._breaks(c, s)
+        c = c._replace(mode=jnp.where(held, CLOSING, new), moved=c.moved | on(BREAK) | held)
+        changed = c.mode != mode
+        # Energy only falls where nothing feeds it: what the first rebound did not part, no later
+        # one will.
+        rebounds = m.rebounds + back
+        fed = not pusher.constant or motion.rig.friction.uneven
+        patience = MAX_REBOUNDS if fed else 1
+        never = back & pusher.stops_at_release() & ~m.lost & (rebounds >= patience)
+        contacts = m.contacts + catch + touch
+        m = m._replace(
+            s=s,
+            course=c,
+            target=jnp.asarray(_NO_EVENT),
+            contacts=contacts,
+            sticks=m.sticks + (halt & (dy > 0)),
+            halts=m.halts + halt,
+            lost=m.lost | release,
+            lost_moving=lost_moving,
+            x_lost=jnp.where(release, motion.position(s), m.x_lost),
+            summited=(m.summited & ~changed) | on(SUMMIT),
+            slowed=(m.slowed & ~changed) | on(BOTTOM),
+            rebounds=rebounds,
+            endless=m.endless | never,
+            over=m.over | never | (contacts > MAX_CONTACTS),
+        )
+        # Behind a standing tip an overdamped rebound comes to rest only asymptotically.
+        creeps = (
+            (c.mode == REBOUNDING)
+            & (dy == 0)
+            & (s.u < _STEADY * self.u_0)
+            & (jnp.abs(a) * self.time < _STEADY * self.u_0)
+        )
+        if motion.bristles is not None:
+            return m._replace(over=m.over | self._settles(m, halt, a))
+        m = m._replace(course=c._replace(mode=jnp.where(creeps, STUCK, c.mode)))
+        return m._replace(over=m.over | self._rests(m))
+
+    def last(self) -> March:
+        """Follow the push to its end."""
+        return jax.lax.while_loop(self._goes_on, lambda m: self.step(m)[0], self.start())
+
+    def _goes_on(self, m: March):
+        return ~m.over & (m.steps < MAX_STEPS)
+
+    def path(self, rows: int) -> tuple[March, Path]:
+        """Follow the push to its end, and keep so many strides at most."""
+        start = self.start()
+        blank = jax.eval_shape(lambda m: self.step(m, record=True)[1], start)
+        table = jax.tree.map(lambda a: jnp.zeros((rows, *a.shape), a.dtype), blank)
+        table = table._replace(t=jnp.full(rows, jnp.inf))
+        filters = jnp.zeros((rows, 2))
+
+        def turn(carry):
+            m, table, filters = carry
+            new, stride = self.step(m, record=True)
+            accepted = new.strides > m.strides
+            i = jnp.minimum(m.strides, rows - 1)
+            table = jax.tree.map(
+                lambda whole, row: whole.at[i].set(jnp.where(accepted, row, whole[i])),
+                table,
+                stride,
+            )
+            if m.sensed is not None:
+                state = jnp.stack([m.sensed.low, m.sensed.high])
+                filters = filters.at[i].set(jnp.where(accepted, state, filters[i]))
+            return new, table, filters
+
+        m, table, filters = jax.lax.while_loop(
+            lambda carry: self._goes_on(carry[0]), turn, (start, table, filters)
+        )
+        m = m._replace(lost_track=m.lost_track | (m.strides >= rows))
+        return m, Path(self.motion, table, filters, m)
+
+
+def _line(p, first):
+    """How far before `first` a straight line over the last quarter of it meets zero, in quarters."""
+    lo = _value(p, first - 0.25)
+    hi = _value(p, first)
+    fall = lo - hi
+    return jnp.clip(jnp.where(fall > 0, -hi / jnp.where(fall > 0, fall, 1.0), 0.0), 0.0, 1.0)
+
+
+def _root(p, x):
+    """The root near x of the quartic p, by Newton within a quarter."""
+    lo, hi = x - 0.25, x + 0.25
+    for _ in range(4):
+        slope = _slope(p, x)
+        x = jnp.clip(x - _value(p, x) / jnp.where(slope == 0, 1.0, slope), lo, hi)
+    return x
+
+
+def _rk_step(f, s: Point, rate: Point, h):
+    """One step of h [s] from s, where the rates are `rate`: the state after it, and its error."""
+    rates = [rate]
+
+    def weighted(weights, rates):
+        def total(*column):
+            return sum(w * r for w, r in zip(weights, column, strict=True) if w)
+
+        return jax.tree.map(total, *rates)
+
+    for row in STAGES:
+        rates.append(f(s.after(h, weighted(row, rates))))
+    end = s.after(h, weighted(WEIGHTS, rates))._replace(t=s.t + h)
+    firm = jax.tree.map(stop_gradient, rates)
+    size = 3 if s.q is None else 4
+    fifth, third = (jnp.stack(weighted(e, firm)[1 : size + 1]) for e in (ERRORS_5, ERRORS_3))
+    # As DOP853: the estimate of order 5 made one of order 7 by that of order 3.
+    both = jnp.sqrt(fifth**2 + 0.01 * third**2)
+    return end, jnp.abs(h) * fifth**2 / jnp.where(both > 0, both, 1.0)
+
+
+_A = np.zeros((12, 12))
+for _i, _row in enumerate(STAGES):
+    _A[_i + 1, : len(_row)] = _row
+_TIMES = _A.sum(1)
+# What each rate adds to the stages after its own, then to the end and to the two errors.
+_ADDS = np.zeros((12, 14))
+for _j in range(12):
+    _ADDS[_j, : 11 - _j] = _A[_j + 1 :, _j]
+    _ADDS[_j, 11:] = WEIGHTS[_j], ERRORS_5[_j], ERRORS_3[_j]
+
+
+def _looped_step(f, s: Point, rate: Point, h):
+    """`_rk_step` as a loop over the stages, which compiles sooner and runs slower."""
+
+    def add(shares, sums, total, k):
+        after = [
+            [a + w * b for a, b in zip(x, k, strict=True)] for x, w in zip(sums[1:], shares[:10])
+        ]
+        after.append([shares[10] * b for b in k])
+        total = [[a + w * b for a, b in zip(x, k, strict=True)] for x, w in zip(total, shares[11:])]
+        return after, total
+
+    zero = 0.0 * s.z
+    size = 3 if s.q is None else 4
+    begin = s[1 : size + 1]
+    sums, total = add(_ADDS[0], [[zero] * size] * 11, [[zero] * size] * 3, rate[1 : size + 1])
+
+    def stage(carry, row):
+        sums, total = carry
+        p = Point(s.t + row[0] * h, *(x + h * a for x, a in zip(begin, sums[0], strict=True)))
+        return add(row[1:], sums, total, f(p)[1 : size + 1]), None
+
+    rows = jnp.asarray(np.column_stack([_TIMES, _ADDS])[1:])
+    (_, (move, fifth, third)), _ = jax.lax.scan(stage, (sums, total), rows)
+    end = Point(s.t + h, *(x + h * a for x, a in zip(begin, move, strict=True)))
+    fifth, third = stop_gradient((jnp.stack(fifth), jnp.stack(third)))
+    both = jnp.sqrt(fifth**2 + 0.01 * third**2)
+    return end, jnp.abs(h) * fifth**2 / jnp.where(both > 0, both, 1.0)
+
+
+class RungeKutta(eqx.Module):
+    """Runge-Kutta steps with exact events for laws of any kind: fast, and differentiable twice in
+    forward mode. `tol` is the error allowed to a step, relative to the scales of the push.
+
+    `looped` compiles sooner and runs slower: for rigs with many effects.
+    """
+
+    tol: float = eqx.field(default=1e-9, static=True)
+    looped: bool | None = eqx.field(default=None, static=True)
+
+    def check(self, rig: Rig):
+        """Every rig is served."""
+
+    def marcher(self, rig: Rig, v) -> Marcher:
+        """The push of a rig at the speed v [m/s] that its pusher comes to."""
+        looped = self.looped if self.looped is not None else _depth(rig) > 3
+        weight = stop_gradient(rig.F_N)
+        z_0 = stop_gradient(_reach(rig.contact, weight))
+        return Marcher(Motion(rig, v), z_0, self.tol, looped)
+
+
+def _reach(contact, force):
+    """A compression [m] that carries a force [N]: at most four times the least that does."""
+
+    def short(z):
+        return (contact.approach(z, jnp.zeros_like(z)) < force) & (z < 1e3)
+
+    return jax.lax.while_loop(short, lambda z: 4 * z, jnp.asarray(1e-9))
+
+
+def _depth(rig: Rig) -> int:
+    """How many effects stand around the rig's laws."""
+    count = 0
+    for part in (rig.friction, rig.contact, rig.pusher, rig.force_sensor, rig.probe):
+        while hasattr(part, "law"):
+            part, count = part.law, count + 1
+    return count
