@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import functools
+import shutil
 
 import jax
 import numpy as np
@@ -15,14 +15,17 @@ ONE_CONTACT = "2. A batch: the same, per push; the pusher stops at the first los
 STROKE = "3. A batch with a stroke of 2 mm: several contacts, per push"
 STROKE_M = 2e-3
 OTHERS = tuple(contest.PUSH[name] for name in ("k", "b", "k_v", "m", "ratio"))
-ONE_CONTACT_REFERENCE = "difffric, closed form, 10 000 pushes"
-STROKE_REFERENCE = "difffric, closed form, 10 000 pushes"
+ONE_CONTACT_REFERENCE = "difffric, observe_batch, 10 000 pushes"
+STROKE_REFERENCE = "difffric, observe_batch, 10 000 pushes"
 
 
-def _difffric(stroke):
-    # One program for its own timing and for the others' reference.
-    shared = functools.cache(lambda: model.batch(stroke))
-    return lambda v, mu_s: lambda: shared()(v, mu_s)
+def _difffric(stroke, threads=None):
+    return lambda v, mu_s: model.observe_batch(v, mu_s, stroke, threads)
+
+
+def _difffric_jit(v, mu_s):
+    call = model.batch()
+    return lambda: call(v, mu_s)
 
 
 difffric_one_contact, difffric_stroke = _difffric(None), _difffric(STROKE_M)
@@ -37,13 +40,25 @@ def _difffric_integrated(v, mu_s):
 
 
 def _numba(v, mu_s):
-    compiled = njit(numba_closed_form.batch.py_func)
+    compiled = njit(**numba_closed_form.FAST)(numba_closed_form.batch.py_func)
     return lambda: compiled(v, mu_s, *OTHERS)
 
 
 def _numba_parallel(v, mu_s):
-    compiled = njit(parallel=True)(numba_closed_form.batch_parallel.py_func)
+    compiled = njit(parallel=True, **numba_closed_form.FAST)(
+        numba_closed_form.batch_parallel.py_func
+    )
     return lambda: compiled(v, mu_s, *OTHERS)
+
+
+def _casadi(threads, compiled):
+    def make(v, mu_s):
+        casadi_closed_form = pytest.importorskip("benchmarks.casadi_closed_form")
+        if compiled and shutil.which("gcc") is None:
+            pytest.skip("no C compiler")
+        return casadi_closed_form.batch(v, mu_s, OTHERS, threads, compiled)
+
+    return make
 
 
 def _diffrax(v, mu_s):
@@ -69,8 +84,13 @@ def _scipy(stroke):
 # contender -> what makes its call, pushes, the error allowed, rounds, iterations
 ONE_CONTACT_CONTENDERS = {
     ONE_CONTACT_REFERENCE: (difffric_one_contact, 10_000, 1e-9, 60, 3),
+    "the same, one thread": (_difffric(None, 1), 10_000, 1e-9, 60, 3),
+    "difffric, one's own jit of vmap of observe": (_difffric_jit, 10_000, 1e-9, 60, 3),
     "numba, by hand, 10 000 pushes, one thread": (_numba, 10_000, 1e-9, 60, 3),
     "numba, by hand, 10 000 pushes, all cores": (_numba_parallel, 10_000, 1e-9, 60, 3),
+    "CasADi, 10 000 pushes, one thread": (_casadi(1, False), 10_000, 1e-9, 10, 1),
+    "CasADi, 10 000 pushes, two threads": (_casadi(2, False), 10_000, 1e-9, 10, 1),
+    "CasADi, turned into C (gcc -O3), two threads": (_casadi(2, True), 10_000, 1e-9, 20, 1),
     "difffric, integrated, 1000 pushes": (_difffric_integrated, 1000, 1e-4, 3, 1),
     "diffrax by hand, 10 000 pushes": (_diffrax, 10_000, 1e-4, 3, 1),
     "scipy DOP853, central differences, 20 pushes": (_scipy(np.inf), 20, 1e-4, 3, 1),
@@ -108,7 +128,13 @@ def _race(benchmark, contenders, contender, points, reference):
 def test_batch(benchmark, contender, points):
     n = ONE_CONTACT_CONTENDERS[contender][1]
     other = _numba if contender == ONE_CONTACT_REFERENCE else difffric_one_contact
-    _race(benchmark, ONE_CONTACT_CONTENDERS, contender, points, lambda: other(*points)()[:, :n])
+    _race(
+        benchmark,
+        ONE_CONTACT_CONTENDERS,
+        contender,
+        points,
+        lambda: np.array(other(*points)())[:, :n],
+    )
 
 
 @pytest.mark.benchmark(group=STROKE)
@@ -117,5 +143,5 @@ def test_batch_with_a_stroke(benchmark, contender, points):
     n = STROKE_CONTENDERS[contender][1]
     reference = None
     if contender != STROKE_REFERENCE:
-        reference = lambda: difffric_stroke(*points)()[:, :n]  # noqa: E731
+        reference = lambda: np.array(difffric_stroke(*points)())[:, :n]  # noqa: E731
     _race(benchmark, STROKE_CONTENDERS, contender, points, reference)

@@ -28,7 +28,7 @@ def _difffric_integrated():
 
 
 def _numba():
-    compiled = njit(numba_closed_form.push.py_func)
+    compiled = njit(**numba_closed_form.FAST)(numba_closed_form.push.py_func)
     return lambda: compiled(V, MU_S, *OTHERS)
 
 

@@ -14,7 +14,7 @@ jax.config.update("jax_enable_compilation_cache", False)
 # By default JAX hands each call to another thread, which takes longer than one push.
 jax.config.update("jax_cpu_enable_async_dispatch", False)
 
-PACKAGES = ("jax", "numpy", "scipy", "numba", "diffrax", "optimistix")
+PACKAGES = ("jax", "numpy", "scipy", "numba", "casadi", "diffrax", "optimistix")
 
 
 def pytest_benchmark_update_machine_info(config, machine_info):

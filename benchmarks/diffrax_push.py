@@ -34,32 +34,49 @@ def _follow(rates, start, guards, directions, horizon, args):
     return solution.ys[-1], solution.event_mask
 
 
-def push(v, mu_s, k, b, k_v, m, ratio):
-    """(F_p, d): d is NaN where the part never leaves."""
+def push(v, mu_s, k, b, k_v, m, ratio, v_s=None, exponent=None):
+    """(F_p, d): d is NaN where the part never leaves.
+
+    `v_s`: Stribeck's speed [m/s]; `exponent`: of a spring k z_r (z / z_r)^n, z_r = 1e-4 m.
+    """
     static, kinetic = mu_s * m * G, ratio * mu_s * m * G
     args = (jnp.asarray(v), kinetic)
     period = 2 * jnp.pi * jnp.sqrt(m / k)
 
+    def spring(z):
+        if exponent is None:
+            return k * z
+        return jnp.where(z > 0, k * 1e-4 * (jnp.where(z > 0, z, 1.0) / 1e-4) ** exponent, k * z)
+
+    def drag(u, args):
+        bent = 0.0 if v_s is None else (1 / ratio - 1) * jnp.exp(-((u / v_s) ** 2))
+        return args[1] * (1 + bent) + k_v * u
+
     def force(y, args):
-        return b * (args[0] - y[1]) + k * y[0]
+        return b * (args[0] - y[1]) + spring(y[0])
 
     def closing(y, args):
-        return jnp.stack([args[0] - y[1], (force(y, args) - args[1] - k_v * y[1]) / m])
+        return jnp.stack([args[0] - y[1], (force(y, args) - drag(y[1], args)) / m])
 
     def rebounding(y, args):
-        return jnp.stack([args[0] - y[1], (k * y[0] - args[1] - k_v * y[1]) / m])
+        return jnp.stack([args[0] - y[1], (spring(y[0]) - drag(y[1], args)) / m])
 
     def free(y, args):
-        return jnp.stack([y[1], -(args[1] + k_v * y[1]) / m])
+        return jnp.stack([y[1], -drag(y[1], args) / m])
 
     def force_rate(y, args):
-        z_rate, u_rate = closing(y, args)
-        return k * z_rate - b * u_rate
+        return jax.jvp(lambda y: force(y, args), (y,), (closing(y, args),))[1]
 
     def rate(y, args):
         return args[0] - y[1]
 
-    start = jnp.stack([jnp.maximum(0.0, (static - b * v) / k), 0.0 * mu_s])
+    carried = jnp.maximum(0.0, static - b * v)
+    if exponent is None:
+        reach = carried / k
+    else:
+        share = jnp.where(carried > 0, carried, 1.0) / (k * 1e-4)
+        reach = jnp.where(carried > 0, 1e-4 * share ** (1 / exponent), 0.0)
+    start = jnp.stack([reach, 0.0 * mu_s])
     rises = force_rate(start, args) > 0
     top, _ = _follow(closing, start, [force_rate], [False], period, args)
     top = jnp.where(rises, top, start)
@@ -72,7 +89,7 @@ def push(v, mu_s, k, b, k_v, m, ratio):
     return force(top, args), jnp.where(lost, rest[0], jnp.nan)
 
 
-def with_derivative(v, mu_s, *others):
+def with_derivative(v, mu_s, *others, **laws):
     """F_p, d, dF_p/dmu_s, dd/dmu_s."""
-    value, slope = jax.jvp(lambda at: push(v, at, *others), (mu_s,), (jnp.ones_like(mu_s),))
+    value, slope = jax.jvp(lambda at: push(v, at, *others, **laws), (mu_s,), (jnp.ones_like(mu_s),))
     return jnp.stack([*value, slope[0], jnp.where(jnp.isnan(value[1]), jnp.nan, slope[1])])

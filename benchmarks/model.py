@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.contest import PUSH
+from difffric import batch as batched
 from difffric import parameters
 from difffric.observables import observe
 from difffric.rig import spring_damper_rig
@@ -49,8 +52,31 @@ def points(n):
 
 def batch(stroke=None, integrator=None):
     """`with_derivative` compiled for arrays: NumPy in, NumPy out, four rows."""
-    compiled = jax.jit(jax.vmap(with_derivative(stroke, integrator), out_axes=1))
-    return lambda v, mu_s: np.asarray(compiled(v, mu_s))
+    one = with_derivative(stroke, integrator)
+    # Four arrays: stacked within the program they would all be computed an element at a time.
+    compiled = jax.jit(jax.vmap(lambda v, mu_s: tuple(one(v, mu_s))))
+    return lambda v, mu_s: np.stack(compiled(v, mu_s))
+
+
+def observe_batch(v, mu_s, stroke=None, threads=None):
+    """A call of `observe_batch`, what a user has for many pushes: four rows."""
+    rigs = parameters.with_values(rig(stroke), {"mu_s": mu_s})
+
+    def call():
+        found = batched.observe_batch(rigs, v, threads=threads)
+        slopes = found.peak_force_by["mu_s"], found.sliding_distance_by["mu_s"]
+        return found.peak_force, found.sliding_distance, *slopes
+
+    return call
+
+
+@functools.cache
+def operations():
+    """Floating-point operations of a push with its derivatives, as XLA counts its program."""
+    function = jax.vmap(lambda v, mu_s: tuple(with_derivative()(v, mu_s)))
+    numbers = np.ones(1024)
+    counted: Any = jax.jit(function).lower(numbers, numbers).compile().cost_analysis()
+    return counted["flops"] / len(numbers)
 
 
 def diffrax_integrator():

@@ -1,4 +1,5 @@
-"""The benchmarks' results as Markdown, between two marks of the page on performance.
+"""The benchmarks' results as Markdown, between two marks of the page on performance, and its
+figures beside it.
 
 python -m benchmarks.table .benchmarks/latest.json [docs/performance.md]
 """
@@ -10,6 +11,8 @@ import re
 import sys
 from itertools import groupby
 from pathlib import Path
+
+from benchmarks import figures
 
 START, END = "<!-- bench:start -->", "<!-- bench:end -->"
 PAGE = Path("docs/performance.md")
@@ -29,7 +32,7 @@ def seconds(value: float) -> str:
         # Rounded first: 999.6 ms is 1 s.
         if value >= 0.9995 * scale:
             return f"{float(f'{value / scale:.3g}'):g} {unit}"
-    return f"{value / 1e-6:.2g} µs"
+    return f"{value / 1e-6:.2g} µs" if value >= 1e-8 else f"{value / 1e-9:.2g} ns"
 
 
 def ratio(value: float) -> str:
@@ -77,6 +80,24 @@ def table(group: str, rows: list[dict]) -> str:
     return "\n".join(lines)
 
 
+def scaling(group: str, rows: list[dict]) -> str:
+    """One comparison over sizes: a row a contender, a column a size."""
+    sizes = sorted({r["extra_info"]["points"] for r in rows})
+    by = {(r["extra_info"]["contender"], r["extra_info"]["points"]): r for r in rows}
+    head = ["", *(f"{size:,}".replace(",", " ") for size in sizes)]
+    lines = [f"### {group.split('. ', 1)[-1]}", "", _line(head), _line(["---"] * len(head))]
+    for contender in dict.fromkeys(name for name, _ in by):
+        found = [by.get((contender, size)) for size in sizes]
+        cells = [
+            "–" if r is None else seconds(r["stats"]["median"] / n)
+            for r, n in zip(found, sizes, strict=True)
+        ]
+        lines.append(_line([contender, *cells]))
+    return "\n".join(
+        [*lines, "", *(f"![{alt}](images/{name})" for name, alt in figures.FIGURES.items())]
+    )
+
+
 def _line(cells):
     return "| " + " | ".join(cells) + " |"
 
@@ -84,7 +105,10 @@ def _line(cells):
 def markdown(results: dict) -> str:
     """All comparisons, with the machine."""
     benchmarks = sorted(results["benchmarks"], key=lambda b: b["group"])
-    groups = [table(g, list(rows)) for g, rows in groupby(benchmarks, key=lambda b: b["group"])]
+    groups = [
+        (scaling if g == figures.SCALING else table)(g, list(rows))
+        for g, rows in groupby(benchmarks, key=lambda b: b["group"])
+    ]
     day = results["datetime"][:10]
     head = f"Measured on {day} with `make bench`: {machine(results['machine_info'])}. {READING}"
     return "\n\n".join([head, *groups])
@@ -109,7 +133,8 @@ def main(arguments: list[str]) -> int:
     before = page.read_text(encoding="utf-8") if page.exists() else ""
     page.parent.mkdir(parents=True, exist_ok=True)
     page.write_text(into(before, markdown(results)), encoding="utf-8")
-    print(f"{len(results['benchmarks'])} results into {page}")
+    drawn = figures.draw(results, page.parent / "images")
+    print(f"{len(results['benchmarks'])} results into {page}, {len(drawn)} figures beside it")
     return 0
 
 

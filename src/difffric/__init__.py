@@ -18,28 +18,34 @@ _HOME = {
     "Recording": "recordings",
     "Recordings": "recordings",
     "Rig": "rig",
+    "RungeKutta": "runge_kutta",
     "Trajectory": "trajectory",
     "UnilateralSpringDamper": "contact",
     "ViscousCoulomb": "friction",
+    "extended": "effects",
     "family": "families",
     "fit": "calibration",
     "identifiable": "identifiability",
+    "identifier": "instant",
     "identify": "estimators",
     "invert": "inversion",
     "load": "data_file",
     "load_setup": "setup_file",
     "next_push": "optimal_push",
     "observe": "observables",
+    "observe_batch": "batch",
     "profile": "profiles",
     "regime_margin": "derivatives",
     "sensitivity": "derivatives",
     "simulate": "trajectory",
     "spring_damper_rig": "rig",
+    "universal": "effects",
 }
 
 __all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
 
 if TYPE_CHECKING:
+    from difffric.batch import observe_batch as observe_batch
     from difffric.calibration import fit as fit
     from difffric.closed_form import ClosedForm as ClosedForm
     from difffric.contact import AbstractContact as AbstractContact
@@ -47,6 +53,8 @@ if TYPE_CHECKING:
     from difffric.data_file import load as load
     from difffric.derivatives import regime_margin as regime_margin
     from difffric.derivatives import sensitivity as sensitivity
+    from difffric.effects import extended as extended
+    from difffric.effects import universal as universal
     from difffric.errors import DifffricError as DifffricError
     from difffric.errors import InputError as InputError
     from difffric.errors import NumericalError as NumericalError
@@ -55,6 +63,7 @@ if TYPE_CHECKING:
     from difffric.friction import AbstractFriction as AbstractFriction
     from difffric.friction import ViscousCoulomb as ViscousCoulomb
     from difffric.identifiability import identifiable as identifiable
+    from difffric.instant import identifier as identifier
     from difffric.integrate import Diffrax as Diffrax
     from difffric.inversion import invert as invert
     from difffric.observables import observe as observe
@@ -66,6 +75,7 @@ if TYPE_CHECKING:
     from difffric.recordings import Recordings as Recordings
     from difffric.rig import Rig as Rig
     from difffric.rig import spring_damper_rig as spring_damper_rig
+    from difffric.runge_kutta import RungeKutta as RungeKutta
     from difffric.setup_file import load_setup as load_setup
     from difffric.trajectory import Trajectory as Trajectory
     from difffric.trajectory import simulate as simulate

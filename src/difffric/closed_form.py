@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import factorial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,6 +13,13 @@ from difffric.errors import InputError
 from difffric.legs import CATCH, HALT, RELEASE, STOP, TURN, Leg, first_event
 from difffric.rig import Rig
 from difffric.roots import falling_root
+from difffric.vectorised import angle, polynomial, quotient
+
+_SINE, _COSINE, _DECAY = (
+    [sign**n / factorial(per * n + more) for n in range(5)]
+    for sign, per, more in ((-1.0, 2, 1), (-1.0, 2, 0), (1.0, 1, 0))
+)
+"""Series of sin(x)/x and cos(x) in x^2, and of exp(x), for small x."""
 
 
 def _oscillator(acceleration, v_p):
@@ -22,12 +31,17 @@ def _oscillator(acceleration, v_p):
     def a(z, w):
         return acceleration(z, w, v_p - w)
 
-    a_z, a_w = jax.jacfwd(a, (0, 1))(0.0, 0.0)
-    return Oscillator(0.5 * a_w, a_z), -a(0.0, 0.0) / a_z
+    a_z, a_w = _slope(lambda z: a(z, 0.0)), _slope(lambda w: a(0.0, w))
+    return Oscillator(0.5 * a_w, a_z), -a(0.0, 0.0) * quotient(1.0, a_z)
 
 
 def _slide(rig):
-    return Slide(-rig.free(0.0), -jax.jacfwd(rig.free)(0.0))
+    return Slide(-rig.free(0.0), -_slope(rig.free))
+
+
+def _slope(law):
+    """Derivative of an affine law. Along one direction: `jacfwd` would make rows of a matrix."""
+    return jax.jvp(law, (0.0,), (1.0,))[1]
 
 
 def _gap(t, args):
@@ -67,10 +81,10 @@ class ClosedForm(eqx.Module):
     def breakaway(self, rig, v_p):
         """Compression [m] at which a part at rest starts to slide; 0: at once."""
         at_touch = rig.contact.approach(0.0, v_p)
-        stiffness = jax.jacfwd(rig.contact.approach)(0.0, v_p)
+        stiffness = _slope(lambda z: rig.contact.approach(z, v_p))
         F_S = rig.friction.breakaway(rig.F_N)
         sticks = F_S > at_touch
-        return jnp.where(sticks, (F_S - at_touch) / stiffness, 0.0)
+        return jnp.where(sticks, (F_S - at_touch) * quotient(1.0, stiffness), 0.0)
 
     def closing(self, rig, z, u, v_p, left, may_halt):
         """The tip closes in on the part, until w = 0, the part halts or the pusher stops."""
@@ -107,7 +121,8 @@ class ClosedForm(eqx.Module):
 
     def _peak(self, rig, osc, z_e, xi, w, dw, turn, dt, end):
         """Largest contact force of a closing: the force obeys the same oscillator."""
-        k, b = jax.jacfwd(rig.contact.approach, (0, 1))(0.0, 0.0)
+        k = _slope(lambda z: rig.contact.approach(z, 0.0))
+        b = _slope(lambda w: rig.contact.approach(0.0, w))
         N_e = rig.contact.approach(z_e, 0.0)
         N, dN = k * xi + b * w, k * w + b * dw
         rises = dN > 0
@@ -127,21 +142,18 @@ class ClosedForm(eqx.Module):
         t_turn = jnp.where(finite, turn, 0.0)
         depth = osc.extremum(xi, w, t_turn)
         leaves = finite & (depth >= z_e) & (z >= 0) & (w <= 0)
-        # Seen back from the turn, exp(c a)(cos a - c sin a) = z_e / depth with c = alpha/omega:
-        # the phase a to first order in c.
-        cosine = jnp.where(leaves, z_e / jnp.where(leaves, depth, 1.0), 0.0)
-        sine = jnp.sqrt(jnp.maximum(1.0 - cosine**2, 1e-30))
-        phase = jnp.arctan2(sine, cosine)
-        omega = jnp.sqrt(jnp.where(osc.discriminant == 0, 1.0, jnp.abs(osc.discriminant)))
-        phase = phase - osc.alpha / omega * (1.0 - phase * cosine / sine)
-        guess = t_turn - phase / omega
+        guess = t_turn - _release_phase(osc, z_e, jnp.where(leaves, depth, z_e))
         args = (osc.alpha, osc.omega0_sq, xi, w, z_e)
         upto = jnp.where(leaves, t_turn, 0.0)
-        release = jnp.where(leaves, falling_root(_compression, args, 0.0, upto, guess), jnp.inf)
-        dt, event = first_event(
-            (left, STOP), (release, RELEASE), (jnp.where(leaves, jnp.inf, turn), TURN)
-        )
-        p, dp = osc.flow(xi, w, _finite(dt))
+        parting = falling_root(_compression, args, 0.0, upto, guess, 1)
+        release = jnp.where(leaves, parting, jnp.inf)
+        ends = (release, RELEASE), (jnp.where(leaves, jnp.inf, turn), TURN)
+        if rig.pusher.stroke is None:  # no stop: what the root was found with serves again
+            dt, event = first_event(*ends)
+            p, dp = osc.flow(xi, w, parting)
+        else:
+            dt, event = first_event((left, STOP), *ends)
+            p, dp = osc.flow(xi, w, _finite(dt))
         p = jnp.where(event == TURN, -depth, p)
         z_1 = jnp.where(event == RELEASE, 0.0, z_e + p)
         u_1 = jnp.where(event == TURN, v_p, v_p - dp)
@@ -177,6 +189,33 @@ class ClosedForm(eqx.Module):
     def free_state(self, rig, u, t):
         """(distance, u) at the time t into a free leg."""
         return _slide(rig).flow(u, t)
+
+
+def _release_phase(osc, z_e, depth):
+    """How long before its turn at -depth the compression passes zero: nearly, and exactly
+    without damping.
+
+    Seen back from the turn, exp(c a) (cos a - c sin a) = z_e / depth at the phase a = omega t,
+    with c = alpha / omega. Two of Halley's steps from the a of c = 0, whose cosine and sine are
+    known; what the first adds to a is of the order of c, so that series turn them on.
+    """
+    rate = osc.rate()
+    c = quotient(osc.alpha, rate)
+    cosine = quotient(z_e, depth)
+    sine = jnp.sqrt(jnp.maximum(1.0 - cosine**2, 1e-30))
+    phase = angle(sine, cosine)
+    fading = jnp.exp(-c * phase) * cosine
+
+    def step(sine, cosine, fading):
+        excess = cosine - c * sine - fading
+        slope, bend = (1.0 + c**2) * sine, (1.0 + c**2) * (cosine + c * sine)
+        return 2 * excess * slope / (2 * slope**2 + excess * bend)
+
+    more = step(sine, cosine, fading)
+    s, k = more * polynomial(_SINE, more**2), polynomial(_COSINE, more**2)
+    turned = sine * k + cosine * s, cosine * k - sine * s
+    phase = phase + more + step(*turned, fading * polynomial(_DECAY, -c * more))
+    return quotient(phase, rate)
 
 
 def _finite(t):

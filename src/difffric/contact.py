@@ -54,6 +54,11 @@ class AbstractContact(eqx.Module):
         """Whether the law may not be smooth at z = 0, as a power is not."""
         return jnp.asarray(True)
 
+    @property
+    def damped(self):
+        """Whether `edge` may lie beyond z = 0."""
+        return jnp.asarray(False)
+
     def __call__(self, z, w):
         """The whole law: both branches and the loss of contact."""
         pushed = jnp.where(w >= 0, self.approach(z, w), self.rebound(z, w))
@@ -107,6 +112,10 @@ class ContactEffect(AbstractContact):
     def rough(self):
         return self.law.rough
 
+    @property
+    def damped(self):
+        return self.law.damped
+
 
 class ReboundDamping(ContactEffect):
     """A share of the damper acts on rebound too: `k z + share b w` for w < 0, never below zero.
@@ -115,6 +124,10 @@ class ReboundDamping(ContactEffect):
     """
 
     share: Number = 0.0
+
+    @property
+    def damped(self):
+        return jnp.asarray(self.share) > 0
 
     def rebound(self, z, w):
         damper = self.law.approach(z, w) - self.law.approach(z, jnp.zeros_like(w))

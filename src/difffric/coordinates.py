@@ -14,15 +14,22 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric import parameters
+from difffric import effects, parameters
 from difffric.errors import InputError
 from difffric.rig import Rig
 
 START = "start_s"
 """The start offset of a push [s]: how late the pusher starts after the trigger."""
 
-LINEAR = {"k_v_N_s_per_m": 10.0, START: 1e-5}
+LINEAR = {"k_v_N_s_per_m": 10.0, START: 1e-5} | {
+    name: key.typical or 1.0 for name, (_, key) in effects.KEYS.items() if not key.inverse
+}
 """What moves on a linear scale, with its unit step."""
+
+_LIMITS = {"mu_k_over_mu_s": (0.0, 1.0), "k_v_N_s_per_m": (0.0, np.inf)} | {
+    name: (key.lower, key.upper) for name, (_, key) in effects.KEYS.items()
+}
+"""The values [SI] between which a parameter makes sense, where that is not all positive ones."""
 
 _LEAST = 1e-12
 """Where a logarithm starts that is asked for zero."""
@@ -37,7 +44,7 @@ def to_coordinate(name: str, value):
     """The coordinate of a value [SI]."""
     if name in LINEAR:
         return np.asarray(value, float) / LINEAR[name]
-    return np.log(np.maximum(value, _LEAST))
+    return np.log(np.clip(value, _LEAST, 1 / _LEAST))
 
 
 def to_value(name: str, coordinate):
@@ -148,8 +155,14 @@ def layout(
             return default
         return float(to_coordinate(name, value))
 
-    floor = [0.0 if name in LINEAR else -np.inf for name in behind]
-    ceiling = [0.0 if name == "mu_k_over_mu_s" else np.inf for name in behind]
+    def sense(name, side):
+        value = _LIMITS.get(name, (0.0, np.inf))[side]
+        if name not in LINEAR and value <= 0:
+            return -np.inf
+        return float(to_coordinate(name, value)) if np.isfinite(value) else value
+
+    floor = [sense(name, 0) for name in behind]
+    ceiling = [sense(name, 1) for name in behind]
     return Layout(
         labels=tuple(labels),
         names=tuple(behind),

@@ -37,11 +37,15 @@ class Key:
     inverse: bool = False
     """whether the law holds the number's inverse, so that its null is a number"""
     fixed: bool = False
-    """whether a fit leaves it alone unless asked"""
+    """whether it stays at its null, the law's own default, unless another value is given"""
 
     def to_law(self, value):
-        """The law's number for the file's."""
-        return 1.0 / value if self.inverse else value
+        """The law's number for the file's, and the file's for the law's."""
+        if not self.inverse:
+            return value
+        if isinstance(value, int | float) and value == 0:
+            return float("inf")
+        return 1.0 / value
 
 
 @dataclass(frozen=True)
@@ -174,27 +178,60 @@ def _around(rig: Rig, effect: Effect, values: Mapping[str, Any]) -> Rig:
         raise InputError(
             f"[effects.{effect.id}]: no such key: {', '.join(wrong)}; known: {', '.join(known)}"
         )
-    fields = {k.field: k.to_law(values.get(k.name, k.null)) for k in effect.keys}
+    fields = {}
+    for key in effect.keys:
+        value = values.get(key.name, key.null)
+        if not (key.fixed and isinstance(value, int | float) and value == key.null):
+            fields[key.field] = key.to_law(value)
     fields |= {name: values[name] for name in effect.given if name in values}
     law = effect.law(getattr(rig, effect.component), **fields)
     return eqx.tree_at(lambda r: getattr(r, effect.component), rig, law)
 
 
-def with_effects(rig: Rig, values: Mapping[str, Any]) -> Rig:
-    """An extended rig with some of its effects' numbers replaced, by `id.key` [SI]."""
-    new = {}
-    for name, value in values.items():
-        effect_id, _, key_name = name.partition(".")
-        effect = CATALOGUE[effect_id]
-        (key,) = [k for k in effect.keys if k.name == key_name]
-        new[effect.component, effect.law, key.field] = key.to_law(value)
-    for (component, law, field), value in new.items():
-        rig = eqx.tree_at(lambda r, c=component, w=law, f=field: _field(r, c, w, f), rig, value)
-    return rig
+KEYS: dict[str, tuple[Effect, Key]] = {
+    f"{effect.id}.{key.name}": (effect, key)
+    for effect in _LIST
+    for key in effect.keys
+    if not key.fixed
+}
+"""Parameter names of effects, `id.key`."""
+
+GIVEN: dict[str, tuple[Effect, str]] = {
+    f"{effect.id}.{name}": (effect, name) for effect in _LIST for name in effect.given
+}
+"""What each push's record says of an effect, `id.field`."""
 
 
-def _field(rig: Rig, component: str, law, field: str):
-    at = getattr(rig, component)
-    while not isinstance(at, law):
-        at = at.law
-    return getattr(at, field)
+def parameter_names(rig: Rig) -> tuple[str, ...]:
+    """The parameters of the effects that the rig has, in the catalogue's order."""
+    return tuple(name for name, (effect, _) in KEYS.items() if _found(rig, effect) is not None)
+
+
+def parameter(rig: Rig, name: str) -> Any:
+    """One of them [SI]."""
+    effect, key = KEYS[name]
+    return key.to_law(getattr(_found(rig, effect), key.field))
+
+
+def where(name: str):
+    """(rig -> the law's number behind a name, how the law has a value)."""
+    if name in GIVEN:
+        effect, field = GIVEN[name]
+        return lambda rig: getattr(_found(rig, effect), field), lambda value: value
+    effect, key = KEYS[name]
+    return lambda rig: getattr(_found(rig, effect), key.field), key.to_law
+
+
+def with_numbers(rig: Rig, numbers: Mapping[str, Any]) -> Rig:
+    """The rig with the laws' own numbers replaced, by parameter name: the inverse of an
+    acceleration, for example, whose null is 0 and not infinite."""
+    wheres = [where(name)[0] for name in numbers]
+    return eqx.tree_at(lambda r: [at(r) for at in wheres], rig, list(numbers.values()))
+
+
+def _found(rig: Rig, effect: Effect) -> Any:
+    """The effect's law among those of its component; None where the rig has none."""
+    at = getattr(rig, effect.component)
+    while at is not None and not isinstance(at, effect.law):  # pyright: ignore[reportArgumentType]
+        at = getattr(at, "law", None)
+    return at

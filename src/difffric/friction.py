@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from difffric.special import power
+from difffric.vectorised import sin_cos
 
 Number = Float[Array, ""] | float
 
@@ -180,7 +181,7 @@ class Waviness(FrictionEffect):
     uneven: ClassVar[bool] = True  # type: ignore[assignment]
 
     def load(self, weight, x, beyond):
-        wave = jnp.sin(2 * jnp.pi * x / self.wavelength + self.phase)
+        wave, _ = sin_cos(2 * jnp.pi * x / self.wavelength + self.phase)
         return self.law.load(weight, x, beyond) * (1 + self.amplitude * wave)
 
 
@@ -207,17 +208,19 @@ class Stribeck(FrictionEffect):
     """Friction that falls with speed: `mu(u) = mu_k + (mu_s - mu_k) exp(-(u / v_s)^delta)`
     (Armstrong-Hélouvry, Dupont and Canudas de Wit, Automatica 30, 1994, 1083).
 
-    v_s >= 0 [m/s], delta > 0; null: v_s = 0, where mu(u) = mu_k for every u > 0.
+    v_s >= 0 [m/s], delta > 0 (None: 2); null: v_s = 0, where mu(u) = mu_k for every u > 0.
     """
 
     v_s: Number = 0.0
-    delta: Number = 2.0
+    delta: Number | None = None
     affine: ClassVar[bool] = False  # type: ignore[assignment]
 
     def sliding(self, u, F_N):
         falls = self.v_s > 0
         ratio = u / jnp.where(falls, self.v_s, 1.0)
-        bent = power(ratio * ratio, 0.5 * self.delta)  # even in u, for any delta
+        bent = ratio * ratio  # even in u, for any delta
+        if self.delta is not None:
+            bent = power(bent, 0.5 * self.delta)
         rise = self.law.breakaway(F_N) - self.law.sliding(jnp.zeros_like(u), F_N)
         return self.law.sliding(u, F_N) + jnp.where(falls, rise * jnp.exp(-bent), 0.0)
 

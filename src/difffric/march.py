@@ -9,15 +9,15 @@ on one looks for the others too.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from jax.lax import stop_gradient
 
+from difffric import quartic
+from difffric.march_state import March
 from difffric.motion import (
     BOTTOM,
     BREAK,
@@ -36,10 +36,9 @@ from difffric.motion import (
     Motion,
     Point,
 )
-from difffric.rig import Rig
-from difffric.sensing import Filtered, nothing, sense
+from difffric.rk_steps import looped_step, rk_step
+from difffric.sensing import nothing, sense
 from difffric.stride import Stride
-from difffric.tableau import ERRORS_3, ERRORS_5, STAGES, WEIGHTS
 from difffric.units import GRAVITY
 
 MAX_CONTACTS = 16
@@ -58,101 +57,8 @@ _SHARES = (0.25, 0.5, 0.75)  # of a step: where its inside is looked at for a di
 _STEADY = 1e-9
 
 
-class March(NamedTuple):
-    """Where a push stands, and what has been counted and measured of it."""
-
-    s: Point
-    course: Course
-    h: Array
-    """the next free step [s]"""
-    target: Array
-    """the event that the next step is to end on, or -1"""
-    h_target: Array
-    contacts: Array
-    sticks: Array
-    lost: Array
-    lost_moving: Array
-    x_lost: Array
-    peak: Array
-    peak_contact: Array
-    summited: Array
-    slowed: Array
-    rebounds: Array
-    halts: Array
-    endless: Array
-    over: Array
-    steps: Array
-    strides: Array
-    """steps accepted"""
-    lost_track: Array
-    stuck_first: Array
-    sensed: Any
-    """what the sensors have seen, where they see more than the plain peak and release"""
-
-
 def _select(condition, new, old):
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)
-
-
-def _hermite(g_0, d_0, g_1, d_1, c_1):
-    """Coefficients of the quartic on [0, 1] with these values, slopes, and curvature at 1."""
-    # g_0 + d_0 x + x^2 (a + b x + c x^2)
-    r = g_1 - g_0 - d_0
-    s = d_1 - d_0
-    q = 0.5 * c_1
-    # a + b + c = r; 2a + 3b + 4c = s; a + 3b + 6c = q
-    a = 6 * r - 3 * s + q
-    b = -8 * r + 5 * s - 2 * q
-    c = 3 * r - 2 * s + q
-    return g_0, d_0, a, b, c
-
-
-def _value(p, x):
-    return p[0] + x * (p[1] + x * (p[2] + x * (p[3] + x * p[4])))
-
-
-def _slope(p, x):
-    return p[1] + x * (2 * p[2] + x * (3 * p[3] + x * 4 * p[4]))
-
-
-class Path(NamedTuple):
-    """A push as its strides, to be evaluated at any time."""
-
-    motion: Motion
-    strides: Stride
-    """stacked, padded with t = inf"""
-    filters: Array
-    """(strides, 2) states of the low-pass and the high-pass at each stride's start [N]"""
-    end: March
-
-    def _at(self, time):
-        """(stride, its index, share of it) at a time; the end's state beyond the last one."""
-        i = jnp.searchsorted(self.strides.t, time, side="right") - 1
-        i = jnp.clip(i, 0, self.strides.t.shape[0] - 1)
-        stride = jax.tree.map(lambda column: column[i], self.strides)
-        share = (time - stride.t) / stride.h
-        over = time >= self.end.s.t
-        course = _select(over, self.end.course, stride.course)
-        return stride._replace(course=course), i, jnp.clip(share, 0.0, 1.0), over
-
-    def evaluate(self, time):
-        """(contact force [N], position [m], speed [m/s]) at a time [s]; no force before 0."""
-        stride, _, share, over = self._at(time)
-        s = stride.point(self.motion, share)
-        end = self.end.s
-        s = _select(over, end, s._replace(q=end.q))
-        force = jnp.where(time >= 0, self.motion.force(stride.course, s), 0.0)
-        return force, self.motion.position(s), jnp.where(over, 0.0, s.u)
-
-    def filtered(self, time):
-        """The force that the sensor's filters let through [N]."""
-        sensor = self.motion.rig.force_sensor
-        if not sensor.filtered:
-            return self.evaluate(time)[0]
-        stride, i, share, over = self._at(time)
-        through = Filtered.of(sensor, stride.force_powers(self.motion), self.filters[i], stride.h)
-        # Nothing is followed beyond the end; the filters then forget what is left.
-        return jnp.where(time >= 0, through.value(share), 0.0)
 
 
 class Marcher(NamedTuple):
@@ -184,22 +90,24 @@ class Marcher(NamedTuple):
         zero, no = jnp.zeros(()), jnp.asarray(False)
         gap = jnp.asarray(rig.contact.gap, float)
         bristles = self.motion.bristles
+        risen = jnp.asarray(rig.pusher.ramp_time(v) <= 0)
         course = Course(
             mode=jnp.asarray(STUCK), touching=gap <= 0, moved=no, stopped=no, t_stop=zero,
-            V_stop=zero, beyond=no, risen=jnp.asarray(rig.pusher.ramp_time(v) <= 0),
-            way=jnp.ones(()),
+            V_stop=zero, beyond=no, risen=risen, way=jnp.ones(()),
         )  # fmt: skip
         # At rest on its bristles, which hold it against the slope.
         q = None if bristles is None else -rig.slope / bristles.stiffness + zero
         s = Point(zero, -gap, zero, zero, q)
         at_once = self._breaks(course, s)
         course = course._replace(mode=jnp.where(at_once, CLOSING, STUCK), moved=at_once)
+        none, nowhere = jnp.asarray(0), jnp.asarray(_NO_EVENT)
         m = March(
-            s=s, course=course, h=0.3 * stop_gradient(self.time) + zero, target=jnp.asarray(_NO_EVENT),
-            h_target=zero, contacts=jnp.where(gap <= 0, 1, 0), sticks=(~at_once).astype(int), lost=no,
-            lost_moving=no, x_lost=zero, peak=zero, peak_contact=jnp.asarray(1), summited=no, slowed=no,
-            rebounds=jnp.asarray(0), halts=jnp.asarray(0), endless=no, over=no, steps=jnp.asarray(0), strides=jnp.asarray(0), lost_track=no,
-            stuck_first=~at_once, sensed=nothing(self.motion) if self.senses else None,
+            s=s, course=course, h=0.3 * stop_gradient(self.time) + zero, target=nowhere,
+            h_target=zero, contacts=jnp.where(gap <= 0, 1, 0), sticks=(~at_once).astype(int),
+            lost=no, lost_moving=no, x_lost=zero, peak=zero, peak_contact=jnp.asarray(1),
+            summited=no, slowed=no, rebounds=none, halts=none, endless=no, over=no, steps=none,
+            strides=none, lost_track=no, stuck_first=~at_once,
+            sensed=nothing(self.motion) if self.senses else None,
         )  # fmt: skip
         return m._replace(over=self._rests(m))
 
@@ -272,21 +180,19 @@ class Marcher(NamedTuple):
             aim = jnp.where(meets, CORNER, aim)
         h = stop_gradient(h)
 
-        y, error = (_looped_step if self.looped else _rk_step)(field, s, rate, h)
-        scale = [self.z_0, self.u_0, self.z_0]
-        if motion.bristles is not None:
-            scale.append(self.z_0)
-        scale = stop_gradient(jnp.stack(scale))
+        y, error = (looped_step if self.looped else rk_step)(field, s, rate, h)
+        y, errors = (looped_step if self.looped else rk_step)(field, s, rate, h)
         # What goes wrong in contact is amplified by what follows, in a free slide it is not.
         tol = self.tol * jnp.where(c.mode == FREE, 30.0, 1.0)
-        err = stop_gradient(jnp.max(error / scale) / tol)
-        err = jnp.where(jnp.isfinite(err), err, 1e9)
+        err = zero = jnp.zeros_like(h)
+        for error, scale in zip(errors, (self.z_0, self.u_0, self.z_0, self.z_0), strict=False):
+            err = jnp.maximum(err, error / (scale * tol))
+        err = stop_gradient(jnp.where(jnp.isfinite(err), err, 1e9))
         good = err <= 1
 
         f_1 = field(y)
         df_1 = jax.jvp(field, (y,), (f_1,))[1]
         ((g_1, N_1), (d_1, n_1)), ((_, _), (c_1, nn_1)) = jax.jvp(along, (y, f_1), (f_1, df_1))
-        zero = jnp.zeros_like(h)
         if not pusher.constant:
             waits = ~c.risen
             g_0[CORNER] = jnp.where(waits, corner, 1.0)
@@ -322,16 +228,18 @@ class Marcher(NamedTuple):
             e, f = stop_gradient((g_1[code], d_1[code] * h))
             if code in slopes:  # of a quantity that is known better than its rate
                 on, (v_0, p_0, v_1, p_1, q_1) = slopes[code]
-                q = _hermite(*stop_gradient((v_0, p_0 * h, v_1, p_1 * h, q_1 * h * h)))
+                q = quartic.hermite(*stop_gradient((v_0, p_0 * h, v_1, p_1 * h, q_1 * h * h)))
                 rate_of = (q[1], 2 * q[2], 3 * q[3], 4 * q[4], zero)
-                p = tuple(jnp.where(on, r, i) for r, i in zip(rate_of, (1.0, 0, 0, 0, 0)))
+                p = tuple(
+                    jnp.where(on, r, i) for r, i in zip(rate_of, (1.0, 0, 0, 0, 0), strict=True)
+                )
             else:
                 begin = g_0[code], d_0[code] * h, g_1[code], d_1[code] * h, c_1[code] * h * h
-                p = _hermite(*stop_gradient(begin))
+                p = quartic.hermite(*stop_gradient(begin))
             where = jnp.where(e <= 0, 1.0, 2.0)
             for share in _SHARES[::-1]:
-                where = jnp.where(_value(p, share) <= 0, share, where)
-            where = jnp.where(where > 0.3, where - 0.25 * _line(p, where), where)
+                where = jnp.where(quartic.value(p, share) <= 0, share, where)
+            where = jnp.where(where > 0.3, where - 0.25 * quartic.before(p, where), where)
             if code in deaf:
                 where = jnp.where(steady, 2.0, where)
             # An aim is reached from either side.
@@ -345,7 +253,7 @@ class Marcher(NamedTuple):
             jet = _select(earlier, jet_1, jet)
             curve = _select(earlier, p, curve)
         passed = first <= 1.0
-        x = jnp.where((aim == event) & (miss_aim < near), 1.0, _root(curve, first))
+        x = jnp.where((aim == event) & (miss_aim < near), 1.0, quartic.root(curve, first))
         arrived = good & passed & (x >= 1 - near)
         # Beyond the event the law may not be smooth: a poor step is cut there too.
         cut = passed & (x < 1 - near)
@@ -374,7 +282,7 @@ class Marcher(NamedTuple):
         stride = None
         if self.senses or record:
             stride = self._stride(m, rate, y, f_1, df_1, h, dt)
-        if self.senses:
+        if self.senses and stride is not None:
             release = arrived & (event == GRIP) & (c.mode == REBOUNDING)
             done = done._replace(sensed=sense(motion, m.sensed, stride, release))
         again = m._replace(
@@ -402,7 +310,8 @@ class Marcher(NamedTuple):
         return Stride.of(motion, c, (m.s, rate, df_0), (y, f_1, df_1), h, 1 + dt / h)
 
     def _pass(self, m: March, event, s: Point, a) -> March:
-        """What an event changes, at the state s; nothing for no event. a: the part's acceleration."""
+        """What an event changes at the state s, where the part's acceleration is a [m/s^2];
+        nothing for no event."""
         motion, c = self.motion, m.course
         pusher = motion.rig.pusher
 
@@ -413,8 +322,8 @@ class Marcher(NamedTuple):
         mode = c.mode
         turn, halt, grip, stop = on(TURN), on(HALT), on(GRIP), on(STOP)
         s = s._replace(u=jnp.where(turn, dy, jnp.where(halt | (mode == STUCK), 0.0, s.u)))
-        edge = motion.rig.contact.edge(dy - s.u)
-        s = s._replace(z=jnp.where(grip, edge, s.z))
+        pulls = motion.rig.contact.damped & (dy < s.u)
+        s = s._replace(z=jnp.where(grip & ~pulls, 0.0, s.z))
         release = grip & (mode == REBOUNDING)
         catch = grip & (mode == FREE)
         touch = grip & (mode == STUCK)
@@ -438,7 +347,12 @@ class Marcher(NamedTuple):
         if motion.bristles is None:
             new = jnp.where(halt, STUCK, new)
         else:
-            c = c._replace(way=jnp.where(halt, jnp.where(a > 0, 1.0, -1.0), c.way))
+            # Before a standing tip the part turns where it halts.
+            both = (turn | halt) & (dy <= 0)
+            ahead = a > 0
+            c = c._replace(way=jnp.where(halt | both, jnp.where(ahead, 1.0, -1.0), c.way))
+            turned = jnp.where(ahead, REBOUNDING, CLOSING)
+            new = jnp.where(both & c.touching, turned, new)
         new = jnp.where(release, FREE, new)
         new = jnp.where(catch, jnp.where(dy - s.u >= 0, CLOSING, REBOUNDING), new)
         new = jnp.where(stop & (mode == CLOSING) & (dy <= s.u), REBOUNDING, new)
@@ -489,153 +403,7 @@ class Marcher(NamedTuple):
 
     def last(self) -> March:
         """Follow the push to its end."""
-        return jax.lax.while_loop(self._goes_on, lambda m: self.step(m)[0], self.start())
+        return jax.lax.while_loop(self.goes_on, lambda m: self.step(m)[0], self.start())
 
-    def _goes_on(self, m: March):
+    def goes_on(self, m: March):
         return ~m.over & (m.steps < MAX_STEPS)
-
-    def path(self, rows: int) -> tuple[March, Path]:
-        """Follow the push to its end, and keep so many strides at most."""
-        start = self.start()
-        blank = jax.eval_shape(lambda m: self.step(m, record=True)[1], start)
-        table = jax.tree.map(lambda a: jnp.zeros((rows, *a.shape), a.dtype), blank)
-        table = table._replace(t=jnp.full(rows, jnp.inf))
-        filters = jnp.zeros((rows, 2))
-
-        def turn(carry):
-            m, table, filters = carry
-            new, stride = self.step(m, record=True)
-            accepted = new.strides > m.strides
-            i = jnp.minimum(m.strides, rows - 1)
-            table = jax.tree.map(
-                lambda whole, row: whole.at[i].set(jnp.where(accepted, row, whole[i])),
-                table,
-                stride,
-            )
-            if m.sensed is not None:
-                state = jnp.stack([m.sensed.low, m.sensed.high])
-                filters = filters.at[i].set(jnp.where(accepted, state, filters[i]))
-            return new, table, filters
-
-        m, table, filters = jax.lax.while_loop(
-            lambda carry: self._goes_on(carry[0]), turn, (start, table, filters)
-        )
-        m = m._replace(lost_track=m.lost_track | (m.strides >= rows))
-        return m, Path(self.motion, table, filters, m)
-
-
-def _line(p, first):
-    """How far before `first` a straight line over the last quarter of it meets zero, in quarters."""
-    lo = _value(p, first - 0.25)
-    hi = _value(p, first)
-    fall = lo - hi
-    return jnp.clip(jnp.where(fall > 0, -hi / jnp.where(fall > 0, fall, 1.0), 0.0), 0.0, 1.0)
-
-
-def _root(p, x):
-    """The root near x of the quartic p, by Newton within a quarter."""
-    lo, hi = x - 0.25, x + 0.25
-    for _ in range(4):
-        slope = _slope(p, x)
-        x = jnp.clip(x - _value(p, x) / jnp.where(slope == 0, 1.0, slope), lo, hi)
-    return x
-
-
-def _rk_step(f, s: Point, rate: Point, h):
-    """One step of h [s] from s, where the rates are `rate`: the state after it, and its error."""
-    rates = [rate]
-
-    def weighted(weights, rates):
-        def total(*column):
-            return sum(w * r for w, r in zip(weights, column, strict=True) if w)
-
-        return jax.tree.map(total, *rates)
-
-    for row in STAGES:
-        rates.append(f(s.after(h, weighted(row, rates))))
-    end = s.after(h, weighted(WEIGHTS, rates))._replace(t=s.t + h)
-    firm = jax.tree.map(stop_gradient, rates)
-    size = 3 if s.q is None else 4
-    fifth, third = (jnp.stack(weighted(e, firm)[1 : size + 1]) for e in (ERRORS_5, ERRORS_3))
-    # As DOP853: the estimate of order 5 made one of order 7 by that of order 3.
-    both = jnp.sqrt(fifth**2 + 0.01 * third**2)
-    return end, jnp.abs(h) * fifth**2 / jnp.where(both > 0, both, 1.0)
-
-
-_A = np.zeros((12, 12))
-for _i, _row in enumerate(STAGES):
-    _A[_i + 1, : len(_row)] = _row
-_TIMES = _A.sum(1)
-# What each rate adds to the stages after its own, then to the end and to the two errors.
-_ADDS = np.zeros((12, 14))
-for _j in range(12):
-    _ADDS[_j, : 11 - _j] = _A[_j + 1 :, _j]
-    _ADDS[_j, 11:] = WEIGHTS[_j], ERRORS_5[_j], ERRORS_3[_j]
-
-
-def _looped_step(f, s: Point, rate: Point, h):
-    """`_rk_step` as a loop over the stages, which compiles sooner and runs slower."""
-
-    def add(shares, sums, total, k):
-        after = [
-            [a + w * b for a, b in zip(x, k, strict=True)] for x, w in zip(sums[1:], shares[:10])
-        ]
-        after.append([shares[10] * b for b in k])
-        total = [[a + w * b for a, b in zip(x, k, strict=True)] for x, w in zip(total, shares[11:])]
-        return after, total
-
-    zero = 0.0 * s.z
-    size = 3 if s.q is None else 4
-    begin = s[1 : size + 1]
-    sums, total = add(_ADDS[0], [[zero] * size] * 11, [[zero] * size] * 3, rate[1 : size + 1])
-
-    def stage(carry, row):
-        sums, total = carry
-        p = Point(s.t + row[0] * h, *(x + h * a for x, a in zip(begin, sums[0], strict=True)))
-        return add(row[1:], sums, total, f(p)[1 : size + 1]), None
-
-    rows = jnp.asarray(np.column_stack([_TIMES, _ADDS])[1:])
-    (_, (move, fifth, third)), _ = jax.lax.scan(stage, (sums, total), rows)
-    end = Point(s.t + h, *(x + h * a for x, a in zip(begin, move, strict=True)))
-    fifth, third = stop_gradient((jnp.stack(fifth), jnp.stack(third)))
-    both = jnp.sqrt(fifth**2 + 0.01 * third**2)
-    return end, jnp.abs(h) * fifth**2 / jnp.where(both > 0, both, 1.0)
-
-
-class RungeKutta(eqx.Module):
-    """Runge-Kutta steps with exact events for laws of any kind: fast, and differentiable twice in
-    forward mode. `tol` is the error allowed to a step, relative to the scales of the push.
-
-    `looped` compiles sooner and runs slower: for rigs with many effects.
-    """
-
-    tol: float = eqx.field(default=1e-9, static=True)
-    looped: bool | None = eqx.field(default=None, static=True)
-
-    def check(self, rig: Rig):
-        """Every rig is served."""
-
-    def marcher(self, rig: Rig, v) -> Marcher:
-        """The push of a rig at the speed v [m/s] that its pusher comes to."""
-        looped = self.looped if self.looped is not None else _depth(rig) > 3
-        weight = stop_gradient(rig.F_N)
-        z_0 = stop_gradient(_reach(rig.contact, weight))
-        return Marcher(Motion(rig, v), z_0, self.tol, looped)
-
-
-def _reach(contact, force):
-    """A compression [m] that carries a force [N]: at most four times the least that does."""
-
-    def short(z):
-        return (contact.approach(z, jnp.zeros_like(z)) < force) & (z < 1e3)
-
-    return jax.lax.while_loop(short, lambda z: 4 * z, jnp.asarray(1e-9))
-
-
-def _depth(rig: Rig) -> int:
-    """How many effects stand around the rig's laws."""
-    count = 0
-    for part in (rig.friction, rig.contact, rig.pusher, rig.force_sensor, rig.probe):
-        while hasattr(part, "law"):
-            part, count = part.law, count + 1
-    return count

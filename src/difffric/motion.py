@@ -13,6 +13,7 @@ from jax import Array
 
 from difffric.rig import Rig
 from difffric.special import odd
+from difffric.units import GRAVITY
 
 STUCK, CLOSING, REBOUNDING, FREE = range(4)
 """Modes: held by friction (in contact or not); pushed, w >= 0; pushed, w < 0; sliding free."""
@@ -132,7 +133,11 @@ class Motion(NamedTuple):
         V, dy = self.tip(course, s)
         w, force = dy - s.u, self.force(course, s)
         closing, rebounding, free = mode == CLOSING, mode == REBOUNDING, mode == FREE
-        grip = s.z - rig.contact.edge(w)
+        # Where contact is lost the compression falls to 0, or the rebound's force where that is
+        # earlier; both guards cross zero with a slope.
+        pulls = rig.contact.damped & (w < 0)
+        weight = rig.mass * GRAVITY
+        grip = jnp.where(pulls, self.rebound(s.z, jnp.minimum(w, 0.0)) / weight, s.z)
         short = self.breakaway(course, s) - force
         reach = free | ((mode == STUCK) & ~course.touching)
         sliding = closing | free if self.bristles is None else closing | free | rebounding

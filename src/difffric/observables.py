@@ -4,7 +4,7 @@ the push went. All of it can be differentiated and batched.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,8 +12,10 @@ from jax import Array
 
 from difffric import parameters
 from difffric import push as sim
-from difffric.march import March, Marcher, RungeKutta
+from difffric.march import Marcher
+from difffric.march_state import March
 from difffric.rig import Rig
+from difffric.runge_kutta import RungeKutta
 
 
 class Observables(NamedTuple):
@@ -31,6 +33,15 @@ class Observables(NamedTuple):
     contacts: Array
     kind: Array
     """a number that changes wherever a derivative may jump"""
+
+
+def _first_of(cases, otherwise) -> Any:
+    """The value of the first condition that holds: plain selections, which vectorise
+    (`jnp.select` would stack the conditions and search them)."""
+    value = otherwise
+    for condition, this in reversed(cases):
+        value = jnp.where(condition, this, value)
+    return value
 
 
 def observe(rig: Rig, velocity, integrator: sim.Integrator | None = None) -> Observables:
@@ -58,14 +69,21 @@ def marched(marcher: Marcher, m: March) -> Observables:
     lost_track = m.lost_track | ~m.over | ~jnp.isfinite(m.peak)
     for_ever = m.endless & ~c.stopped
     left = m.lost & ~c.touching
-    reason = jnp.select(
-        [too_many, lost_track, for_ever, ~left],
-        [sim.TOO_MANY_CONTACTS, sim.NOT_FOLLOWED, sim.NEVER_RELEASED, sim.RESTS_IN_CONTACT],
+    reason = _first_of(
+        [
+            (too_many, sim.TOO_MANY_CONTACTS),
+            (lost_track, sim.NOT_FOLLOWED),
+            (for_ever, sim.NEVER_RELEASED),
+            (~left, sim.RESTS_IN_CONTACT),
+        ],
         sim.OK,
     )
-    regime = jnp.select(
-        [~c.moved, ~left, m.lost_moving],
-        [sim.NO_MOTION, sim.PUSHED_TO_REST, sim.RELEASED_BY_REBOUND],
+    regime = _first_of(
+        [
+            (~c.moved, sim.NO_MOTION),
+            (~left, sim.PUSHED_TO_REST),
+            (m.lost_moving, sim.RELEASED_BY_REBOUND),
+        ],
         sim.RELEASED_AT_STOP,
     )
     sensor, probe = rig.force_sensor, rig.probe
@@ -102,21 +120,23 @@ def observables(push: sim.Push, state: sim.State) -> Observables:
     left = state.lost & ~state.in_contact
     # Behind a standing tip an overdamped rebound comes to rest too, if only asymptotically.
     for_ever = state.endless & (state.segment.v_p > 0)
-    reason = jnp.select(
-        [lost_track, too_many, too_long, for_ever, ~left, state.endless],
+    reason = _first_of(
         [
-            sim.NOT_FOLLOWED,
-            sim.TOO_MANY_CONTACTS,
-            sim.TOO_MANY_CYCLES,
-            sim.NEVER_RELEASED,
-            sim.RESTS_IN_CONTACT,
-            sim.NEVER_RESTS,
+            (lost_track, sim.NOT_FOLLOWED),
+            (too_many, sim.TOO_MANY_CONTACTS),
+            (too_long, sim.TOO_MANY_CYCLES),
+            (for_ever, sim.NEVER_RELEASED),
+            (~left, sim.RESTS_IN_CONTACT),
+            (state.endless, sim.NEVER_RESTS),
         ],
         sim.OK,
     )
-    regime = jnp.select(
-        [~state.moved, ~left, state.lost_moving],
-        [sim.NO_MOTION, sim.PUSHED_TO_REST, sim.RELEASED_BY_REBOUND],
+    regime = _first_of(
+        [
+            (~state.moved, sim.NO_MOTION),
+            (~left, sim.PUSHED_TO_REST),
+            (state.lost_moving, sim.RELEASED_BY_REBOUND),
+        ],
         sim.RELEASED_AT_STOP,
     )
     counts = state.contacts, state.sticks, state.peak_contact

@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from difffric import effects
 from difffric.errors import InputError
 from difffric.friction import innermost
 from difffric.pusher import ConstantSpeed
@@ -34,12 +35,24 @@ def names(rig: Rig) -> tuple[str, ...]:
         except AttributeError:
             return False
 
-    return tuple(name for name, where in RIG_PARAMETERS.items() if has(where))
+    own = tuple(name for name, where in RIG_PARAMETERS.items() if has(where))
+    return own + effects.parameter_names(rig)
 
 
 def values(rig: Rig) -> dict[str, Any]:
     """Name -> value [SI]."""
-    return {name: RIG_PARAMETERS[name](rig) for name in names(rig)}
+    return {name: _value(rig, name) for name in names(rig)}
+
+
+def _value(rig: Rig, name: str) -> Any:
+    return RIG_PARAMETERS[name](rig) if name in RIG_PARAMETERS else effects.parameter(rig, name)
+
+
+def _place(name: str):
+    """(rig -> the number behind a name, how the rig has a value)."""
+    if name in RIG_PARAMETERS:
+        return RIG_PARAMETERS[name], lambda value: value
+    return effects.where(name)
 
 
 def with_values(rig: Rig, new: Mapping[str, Any]) -> Rig:
@@ -47,13 +60,14 @@ def with_values(rig: Rig, new: Mapping[str, Any]) -> Rig:
 
     Raises `InputError` for a name that the rig does not have.
     """
-    unknown = sorted(set(new) - set(names(rig)))
+    unknown = sorted(set(new) - set(names(rig)) - set(effects.GIVEN))
     if unknown:
         raise InputError(f"no such parameter: {', '.join(unknown)}; known: {', '.join(names(rig))}")
     if not new:
         return rig
-    wheres = [RIG_PARAMETERS[name] for name in new]
-    return eqx.tree_at(lambda r: [where(r) for where in wheres], rig, list(new.values()))
+    places = [_place(name) for name in new]
+    numbers = [to_law(x) for (_, to_law), x in zip(places, new.values(), strict=True)]
+    return eqx.tree_at(lambda r: [where(r) for where, _ in places], rig, numbers)
 
 
 def with_stroke(rig: Rig, stroke) -> Rig:

@@ -15,9 +15,10 @@ from jax import Array
 from difffric.closed_form import ClosedForm
 from difffric.errors import require_float64
 from difffric.legs import CATCH, HALT, NONE, RELEASE, STOP, TURN, Leg
-from difffric.march import MAX_CONTACTS, RungeKutta
+from difffric.march import MAX_CONTACTS
 from difffric.motion import CLOSING, FREE, REBOUNDING, STUCK
 from difffric.rig import Rig
+from difffric.runge_kutta import RungeKutta
 
 MAX_CYCLES = 1000
 
@@ -111,10 +112,9 @@ class Push(NamedTuple):
     def of(cls, rig: Rig, velocity, integrator: Integrator | None = None) -> Push:
         """A push at `velocity` [m/s], by the integrator that serves the rig unless given."""
         require_float64()
-        if integrator is None:
-            integrator = default_integrator(rig)
-        integrator.check(rig)
-        return cls(rig, rig.pusher.speed(velocity), integrator)
+        chosen: Any = default_integrator(rig) if integrator is None else integrator
+        chosen.check(rig)
+        return cls(rig, rig.pusher.speed(velocity), chosen)
 
     @property
     def once(self) -> bool:

@@ -12,6 +12,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from difffric.vectorised import sin_cos
+
 Number = Float[Array, ""] | float
 
 
@@ -158,9 +160,8 @@ class Ripple(PusherEffect):
     constant: ClassVar[bool] = False  # type: ignore[assignment]
 
     def ripple(self, y):
-        return self.law.ripple(y) * (
-            1 + self.amplitude * jnp.sin(2 * jnp.pi * y / self.period + self.phase)
-        )
+        wave, _ = sin_cos(2 * jnp.pi * y / self.period + self.phase)
+        return self.law.ripple(y) * (1 + self.amplitude * wave)
 
 
 def _decay(t, tau):

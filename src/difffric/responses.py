@@ -130,8 +130,8 @@ class TracePush(NamedTuple):
             trajectory = Trajectory.of(parameters.as_arrays(push), TRACE_CYCLES, TRACE_STRIDES)
             offset = to_value(START, c[-1])
             t_force = jnp.asarray(self.force.t) - offset
-            own = self.position.t is not None
-            t_position = self.position.t - offset if own else t_force
+            own = self.position.t
+            t_position = t_force if own is None else own - offset
             force, position = trajectory.read(t_force, t_position)
             rows = (_whitened(self.force, force), _centred(self.position, position))
             seen = trajectory.observables

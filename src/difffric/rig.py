@@ -7,8 +7,8 @@ from typing import Any
 import equinox as eqx
 from jaxtyping import Array, Float
 
-from difffric.contact import AbstractContact, UnilateralSpringDamper
-from difffric.friction import AbstractFriction, ViscousCoulomb
+from difffric.contact import UnilateralSpringDamper
+from difffric.friction import ViscousCoulomb
 from difffric.pusher import ConstantSpeed
 from difffric.sensors import ForceSensor, Probe
 from difffric.units import GRAVITY
@@ -22,8 +22,8 @@ class Rig(eqx.Module):
     """
 
     mass: Float[Array, ""] | float
-    friction: AbstractFriction
-    contact: AbstractContact
+    friction: Any
+    contact: Any
     pusher: Any = ConstantSpeed()
     force_sensor: Any = ForceSensor()
     probe: Any = Probe()

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
 
 
 class _Search(NamedTuple):
@@ -17,13 +18,15 @@ class _Search(NamedTuple):
     count: jax.Array
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
-def falling_root(f, args, lo, hi, guess):
+@partial(jax.custom_jvp, nondiff_argnums=(0, 5))
+def falling_root(f, args, lo, hi, guess, rounds=0):
     """The root in [lo, hi] of `f(t, args) = (value, slope)`, which falls from > 0 to <= 0.
 
-    Newton from `guess`; a step that leaves the bracket is replaced by bisection. The
-    derivative with respect to `args` is the implicit function's, itself differentiable:
-    `slope` must be the exact derivative of `value` in t.
+    Newton from `guess`; a step that leaves the bracket is replaced by bisection. So many
+    `rounds` of it as are given are written out before the loop, which then mostly runs none:
+    for a guess that is good enough for that. The derivative with respect to `args` is the
+    implicit function's, itself differentiable: `slope` must be the exact derivative of `value`
+    in t.
     """
     eps = jnp.finfo(jnp.result_type(float)).eps
 
@@ -44,12 +47,31 @@ def falling_root(f, args, lo, hi, guess):
 
     lo, hi, guess = jnp.broadcast_arrays(lo, hi, jnp.clip(guess, lo, hi))
     start = _Search(guess, lo, hi, jnp.full_like(guess, jnp.inf), jnp.zeros_like(guess, int))
+    for _ in range(rounds):
+        start = improve(start)
     return jax.lax.while_loop(unfinished, improve, start).t
 
 
-@falling_root.defjvp
-def _falling_root_jvp(f, primals, tangents):
+@partial(falling_root.defjvp, symbolic_zeros=True)
+def _falling_root_jvp(f, rounds, primals, tangents):
     args, lo, hi, guess = primals
-    t = falling_root(f, args, lo, hi, guess)
-    (_, slope), (value_dot, _) = jax.jvp(lambda a: f(t, a), (args,), (tangents[0],))
+    t = falling_root(f, args, lo, hi, guess, rounds)
+    # Along what does move: a law's share in a derivative by mu_s is then not computed as zeros.
+    leaves, structure = jax.tree.flatten(args)
+    along = jax.tree.leaves(tangents[0], is_leaf=_is_zero)
+    moving = [i for i, tangent in enumerate(along) if not _is_zero(tangent)]
+
+    def at(some):
+        every = list(leaves)
+        for i, leaf in zip(moving, some, strict=True):
+            every[i] = leaf
+        return f(t, jax.tree.unflatten(structure, every))
+
+    (_, slope), (value_dot, _) = jax.jvp(
+        at, ([leaves[i] for i in moving],), ([along[i] for i in moving],)
+    )
     return t, -value_dot / jnp.where(slope == 0, 1.0, slope)
+
+
+def _is_zero(tangent):
+    return isinstance(tangent, SymbolicZero)

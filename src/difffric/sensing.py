@@ -15,7 +15,7 @@ from difffric.motion import Motion
 from difffric.stride import OnePole, Stride
 
 _LOOKS = np.linspace(0.0, 1.0, 9)
-_KEPT = 8
+_KEPT = 32
 """strides that a lagging channel is looked up in"""
 
 
@@ -43,8 +43,8 @@ def nothing(motion: Motion) -> Sensed:
     zero = jnp.zeros(())
     kept = None
     if motion.rig.probe.late:
-        far = jnp.full(_KEPT, -jnp.inf)
-        kept = far, jnp.ones(_KEPT), jnp.zeros((_KEPT, 8))
+        far, none = jnp.full(_KEPT, -jnp.inf), jnp.zeros(_KEPT)
+        kept = far, none + 1.0, *([none] * 8)
     return Sensed(zero, zero, zero - jnp.inf, zero, zero, zero, jnp.asarray(False), kept)
 
 
@@ -57,7 +57,7 @@ def sense(motion: Motion, seen: Sensed, stride: Stride, release) -> Sensed:
     if probe.late:
         kept = tuple(
             jnp.concatenate([old[1:], new[None]])
-            for old, new in zip(seen.strides, (stride.t, stride.h, stride.x), strict=True)
+            for old, new in zip(seen.strides, (stride.t, stride.h, *stride.x), strict=True)
         )
         seen = _lost(motion, seen._replace(strides=kept), stride, N, release)
     return seen._replace(before=jnp.where(release, 0.0, stride.force(motion, stride.end)))
@@ -99,20 +99,22 @@ def _heard(sensor, seen: Sensed, stride: Stride, N) -> Sensed:
     i = jnp.argmax(values)
     lo, hi = looks[jnp.maximum(i - 1, 0)], looks[jnp.minimum(i + 1, len(_LOOKS) - 1)]
 
-    def slope(share):
-        return jax.jvp(passed, (share,), (jnp.ones_like(share),))[1]
+    def slope(f, share):
+        return jax.jvp(f, (share,), (jnp.ones_like(share),))[1]
 
-    x = looks[i]
-    for _ in range(7):
-        g, c = stop_gradient(jax.jvp(slope, (x,), (jnp.ones_like(x),)))
+    def improve(_, bracket):
+        lo, hi, x = bracket
+        g, c = jax.jvp(lambda share: slope(still, share), (x,), (jnp.ones_like(x),))
         lo, hi = jnp.where(g > 0, x, lo), jnp.where(g > 0, hi, x)
         new = x - g / jnp.where(c < 0, c, -1.0)
-        x = jnp.where(
-            (c < 0) & (new >= lo) & (new <= hi), new, jnp.where(g == 0, x, 0.5 * (lo + hi))
-        )
+        middle = jnp.where(g == 0, x, 0.5 * (lo + hi))
+        return lo, hi, jnp.where((c < 0) & (new >= lo) & (new <= hi), new, middle)
+
+    still = stop_gradient(through).value
+    x = jax.lax.fori_loop(0, 8, improve, stop_gradient((lo, hi, looks[i])))[2]
     # One more step, which is small, carries the derivatives.
     x = stop_gradient(x)
-    g, c = jax.jvp(slope, (x,), (jnp.ones_like(x),))
+    g, c = jax.jvp(lambda share: slope(passed, share), (x,), (jnp.ones_like(x),))
     inner = (c < 0) & (jnp.abs(stop_gradient(g / jnp.where(c < 0, c, -1.0))) < 1e-3)
     top = x - jnp.where(inner, g / jnp.where(inner, c, 1.0), 0.0)
     top = jnp.where(stop_gradient(top) >= stop_gradient(stride.end), stride.end, top)
@@ -140,13 +142,13 @@ def _heard(sensor, seen: Sensed, stride: Stride, N) -> Sensed:
 def _lost(motion: Motion, seen: Sensed, stride: Stride, N, release) -> Sensed:
     """When and where contact is taken to be lost in the stride, if it is."""
     level = motion.rig.probe.threshold
-    first, last = N[0], jnp.where(release, 0.0, jnp.sum(N))
+    first, last = N[0], jnp.where(release, 0.0, sum(N))
     jumps = (seen.before >= level) & (first < level) & (level > 0)
     falls = jnp.where(level > 0, (first >= level) & (last < level), release)
     lo, hi = jnp.zeros(()), jnp.ones(())
-    powers = list(N)
+    still = stop_gradient(N)
 
-    def value(share):
+    def value(powers, share):
         total = powers[-1]
         for c in powers[-2::-1]:
             total = total * share + c
@@ -154,24 +156,24 @@ def _lost(motion: Motion, seen: Sensed, stride: Stride, N, release) -> Sensed:
 
     def improve(_, carry):
         lo, hi, x = carry
-        g, d = jax.jvp(value, (x,), (jnp.ones_like(x),))
+        g, d = jax.jvp(lambda share: value(still, share), (x,), (jnp.ones_like(x),))
         lo, hi = jnp.where(g > 0, x, lo), jnp.where(g > 0, hi, x)
         new = x - g / jnp.where(d < 0, d, -1.0)
         return lo, hi, jnp.where((d < 0) & (new >= lo) & (new <= hi), new, 0.5 * (lo + hi))
 
     x = stop_gradient(jax.lax.fori_loop(0, 12, improve, (lo, hi, 0.5 * hi))[2])
-    g, d = jax.jvp(value, (x,), (jnp.ones_like(x),))
+    g, d = jax.jvp(lambda share: value(N, share), (x,), (jnp.ones_like(x),))
     x = x - g / jnp.where(d == 0, 1.0, d)  # carries the derivatives
     share = jnp.where(level > 0, jnp.where(falls, x, 0.0), stride.end)
     t = stride.t + share * stride.h
     crossed = falls | jumps
     t_read = t - motion.rig.probe.delay
-    at, h, position = seen.strides
+    at, h, *position = seen.strides
     i = jnp.clip(jnp.sum(stop_gradient(at <= t_read)) - 1, 0, _KEPT - 1)
     share = (t_read - at[i]) / h[i]
-    total = position[i, 7]
-    for n in range(6, -1, -1):
-        total = total * share + position[i, n]
+    total = position[-1][i]
+    for powers in position[-2::-1]:
+        total = total * share + powers[i]
     x_read = jnp.where(jnp.isfinite(at[i]) & (t_read > 0), total, 0.0)
     return seen._replace(
         t_lost=jnp.where(crossed, t, seen.t_lost),

@@ -32,6 +32,14 @@ def _septic():
 _SEPTIC = _septic()
 
 
+def _times(matrix, values) -> tuple:
+    """A constant matrix times a few numbers, in plain arithmetic: it vectorises over pushes."""
+    return tuple(
+        sum(float(c) * v for c, v in zip(row, values, strict=True) if abs(c) > 1e-14)
+        for row in matrix
+    )
+
+
 def _power_sum(coefficients, share):
     total = coefficients[-1]
     for c in coefficients[-2::-1]:
@@ -49,10 +57,10 @@ class Stride(NamedTuple):
     h: Array
     end: Array
     course: Course
-    x: Array
-    """(8,) coefficients of the part's position [m]"""
-    y: Array
-    """(8,) coefficients of the tip's travel [m]"""
+    x: tuple
+    """eight coefficients of the part's position [m]"""
+    y: tuple
+    """six coefficients of the tip's travel [m]"""
 
     @classmethod
     def of(cls, motion: Motion, course: Course, start, end, h, share) -> Stride:
@@ -65,22 +73,20 @@ class Stride(NamedTuple):
         def tip(s: Point, r: Point, rr: Point):
             return [s.y, r.y * h, rr.y * h**2]
 
-        x = jnp.asarray(_SEPTIC) @ jnp.stack(jet(*start) + jet(*end))
+        x = _times(_SEPTIC, jet(*start) + jet(*end))
         (y_0, v_0, a_0), (y_1, v_1, a_1) = tip(*start), tip(*end)
-        rest = jnp.stack([y_1 - y_0 - v_0 - 0.5 * a_0, v_1 - v_0 - a_0, a_1 - a_0])
-        high = jnp.asarray(_QUINTIC) @ rest
-        zero = jnp.zeros_like(h)
-        y = jnp.stack([y_0, v_0, 0.5 * a_0, *high, zero, zero])
+        rest = [y_1 - y_0 - v_0 - 0.5 * a_0, v_1 - v_0 - a_0, a_1 - a_0]
+        y = (y_0, v_0, 0.5 * a_0, *_times(_QUINTIC, rest))
         return cls(start[0].t, h, share, course, x, y)
 
     def position(self, share):
         """x [m]."""
-        return _power_sum(list(self.x), share)
+        return _power_sum(self.x, share)
 
     def point(self, motion: Motion, share) -> Point:
         """The state at a share of the step."""
-        rate = list(self.x[1:] * np.arange(1.0, 8.0))
-        x, y = self.position(share), _power_sum(list(self.y), share)
+        rate = [n * c for n, c in enumerate(self.x)][1:]
+        x, y = self.position(share), _power_sum(self.y, share)
         u = _power_sum(rate, share) / self.h
         return Point(self.t + share * self.h, y - motion.rig.contact.gap - x, u, y)
 
@@ -89,9 +95,9 @@ class Stride(NamedTuple):
         return motion.force(self.course, self.point(motion, share))
 
     def force_powers(self, motion: Motion):
-        """(8,) coefficients of the contact force [N]."""
+        """Eight coefficients of the contact force [N]."""
         at = jax.vmap(lambda share: self.force(motion, share))(jnp.asarray(_NODES))
-        return jnp.asarray(_TO_POWERS) @ at
+        return _times(_TO_POWERS, [at[i] for i in range(len(_NODES))])
 
 
 _QUINTIC = np.linalg.inv(np.array([[1.0, 1.0, 1.0], [3.0, 4.0, 5.0], [6.0, 12.0, 20.0]]))
@@ -100,7 +106,7 @@ _QUINTIC = np.linalg.inv(np.array([[1.0, 1.0, 1.0], [3.0, 4.0, 5.0], [6.0, 12.0,
 class OnePole(NamedTuple):
     """`tau f' = N - f` over a stride, N a polynomial: its exact solution, for any tau >= 0."""
 
-    powers: Array
+    powers: tuple
     """of N's particular solution, or of f itself where the step is short beside tau"""
     rest: Array
     """what decays"""
@@ -109,23 +115,22 @@ class OnePole(NamedTuple):
 
     @classmethod
     def of(cls, N, f_0, h, tau) -> OnePole:
-        quick = tau < 0.5 * h
+        quick = tau < h
         # Quick: p + p' / ratio = N, from the highest power down.
         inverse = jnp.where(quick, tau, 0.0) / h
         p = [N[-1]]
         for n in range(len(N) - 2, -1, -1):
             p.append(N[n] - (n + 1) * inverse * p[-1])
-        quick_powers = jnp.stack(p[::-1])
+        p = p[::-1]
         # Slow: f' = ratio (N - f), from the lowest power up.
         ratio = jnp.where(quick, 0.0, h / jnp.where(quick, 1.0, tau))
         f = [f_0]
         for n in range(_TERMS - 1):
             c = N[n] if n < len(N) else 0.0
             f.append(ratio * (c - f[-1]) / (n + 1))
-        slow_powers = jnp.stack(f)
-        pad = jnp.zeros(_TERMS - len(N))
-        powers = jnp.where(quick, jnp.concatenate([quick_powers, pad]), slow_powers)
-        rest = jnp.where(quick, f_0 - quick_powers[0], 0.0)
+        p += [0.0] * (_TERMS - len(p))
+        powers = tuple(jnp.where(quick, a, b) for a, b in zip(p, f, strict=True))
+        rest = jnp.where(quick, f_0 - p[0], 0.0)
         steep = jnp.where(tau > 0, h / jnp.where(tau > 0, tau, 1.0), jnp.inf)
         return cls(powers, rest, jnp.where(quick, steep, 0.0))
 
@@ -133,7 +138,7 @@ class OnePole(NamedTuple):
         """f [N] at a share of the stride."""
         sharp = jnp.isinf(self.ratio)
         fades = jnp.where(sharp, 0.0, jnp.exp(-jnp.where(sharp, 1.0, self.ratio) * share))
-        return _power_sum(list(self.powers), share) + self.rest * fades
+        return _power_sum(self.powers, share) + self.rest * fades
 
 
-_TERMS = 24
+_TERMS = 18

@@ -11,8 +11,8 @@ from jaxtyping import Array, ArrayLike, Float
 
 from difffric import parameters
 from difffric.errors import InputError
-from difffric.march import Path, RungeKutta
 from difffric.observables import Observables, marched, observables
+from difffric.path import Path, follow
 from difffric.push import (
     CLOSING,
     FREE,
@@ -25,6 +25,7 @@ from difffric.push import (
     Segment,
 )
 from difffric.rig import Rig
+from difffric.runge_kutta import RungeKutta
 from difffric.setup_file import checked
 
 STRIDES = 1024
@@ -47,7 +48,7 @@ class Trajectory(eqx.Module):
         """Follow a push, for so many cycles through the modes (or strides) at most."""
         if isinstance(push.integrator, RungeKutta):
             marcher = push.integrator.marcher(push.rig, push.velocity)
-            march, path = marcher.path(strides)
+            march, path = follow(marcher, strides)
             return cls(push, _segments(path), marched(marcher, march), path)
         state, segments = push.segments(cycles)
         return cls(push, segments, observables(push, state))
@@ -117,8 +118,9 @@ def _evaluate(trajectory: Trajectory, t):
 @jax.jit
 def _read(trajectory: Trajectory, t_force, t_position):
     sensor, probe = trajectory.push.rig.force_sensor, trajectory.push.rig.probe
-    if sensor.filtered:
-        force = jnp.vectorize(trajectory.path.filtered)(t_force)
+    path = trajectory.path
+    if sensor.filtered and path is not None:
+        force = jnp.vectorize(path.filtered)(t_force)
     else:
         force = _evaluate(trajectory, t_force)[0]
     return sensor.read(force), probe.scale * _evaluate(trajectory, t_position - probe.delay)[1]
