@@ -67,7 +67,7 @@ class Marcher(NamedTuple):
     motion: Motion
     z_0: Array
     """about the compression under the part's own weight [m]"""
-    tol: float = 1e-9
+    tol: float = 1e-10
     looped: bool = False
 
     @property

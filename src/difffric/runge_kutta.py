@@ -19,7 +19,7 @@ class RungeKutta(eqx.Module):
     `looped` compiles sooner and runs slower: for rigs with many effects.
     """
 
-    tol: float = eqx.field(default=1e-9, static=True)
+    tol: float = eqx.field(default=1e-10, static=True)
     looped: bool | None = eqx.field(default=None, static=True)
 
     def check(self, rig: Rig):
