@@ -195,18 +195,21 @@ def _program(structure, varying, names, tiles) -> _Program:
 
 
 def _known(rig, integrator) -> bool:
-    """Whether all that is compiled is this library's own: a user's law may need what a program
-    in one piece must not have."""
+    """Whether the program may be compiled in one piece: this library's own laws alone, as a user's
+    may need what such a program must not have; and one effect at most, on a tip of constant speed
+    and sensors that do not look back, as compiling larger ones takes all of the memory."""
     laws = [rig.friction, rig.contact, rig.pusher, rig.force_sensor, rig.probe]
+    effects = 0
     for law in laws:
         if hasattr(law, "law"):
             laws.append(law.law)
+            effects += 1
     own = all(type(law).__module__.startswith("difffric.") for law in laws)
     looks_back = rig.force_sensor.filtered or rig.force_sensor.sampled or rig.probe.late
-    return (
-        own
-        and not looks_back
-        and (integrator is None or isinstance(integrator, ClosedForm | RungeKutta))
+    small = effects <= 1 and rig.pusher.constant and not looks_back
+    closed = rig.affine and (integrator is None or isinstance(integrator, ClosedForm))
+    return own and (
+        closed or (small and (integrator is None or isinstance(integrator, RungeKutta)))
     )
 
 
