@@ -1,4 +1,5 @@
-"""Diffrax against the closed form, against scipy on laws of a user's own, and at its limits."""
+"""Both integrators against the closed form, against scipy on laws of a user's own, and at their
+limits."""
 
 from functools import partial
 
@@ -18,6 +19,7 @@ from difffric.observables import observe
 from difffric.push import REASONS
 from difffric.pusher import ConstantSpeed
 from difffric.rig import Rig, spring_damper_rig
+from difffric.runge_kutta import RungeKutta
 
 G = 9.80665
 # The part halts on the tip for a moment: u falls just below zero and back within one step.
@@ -29,6 +31,8 @@ BRIEF_HALTS = np.array(
         [0.22347683, 162800.0, 80.81, 44.55, 13.15, 0.00755, 0.00136],
     ]
 )
+
+INTEGRATORS, NAMES = (Diffrax(), RungeKutta()), ("Diffrax", "RungeKutta")
 
 
 class Hertz(AbstractContact):
@@ -76,21 +80,21 @@ def affine_push(point, stroke, integrator):
     return jnp.stack([seen.peak_force, seen.sliding_distance]), seen
 
 
-def curved_push(point, stroke):
+def curved_push(point, stroke, integrator):
     """A push with Hertz and Stribeck; point: mu_s, rise, v_s, k, n, b, mass, velocity."""
     mu_s, rise, v_s, k, n, b, mass, velocity = point
     rig = Rig(mass, Stribeck(mu_s, rise, v_s), Hertz(k, n, b), ConstantSpeed(stroke))
-    seen = observe(rig, velocity)
+    seen = observe(rig, velocity, integrator)
     return jnp.stack([seen.peak_force, seen.sliding_distance]), seen
 
 
-@jax.jit
-@jax.vmap
-def curved_pushes(point, stroke):
+@partial(jax.jit, static_argnums=2)
+@partial(jax.vmap, in_axes=(0, 0, None))
+def curved_pushes(point, stroke, integrator):
     """Observables, and the derivatives of (F_p, d) in mu_s."""
 
     def at(mu_s):
-        return curved_push(point.at[0].set(mu_s), stroke)
+        return curved_push(point.at[0].set(mu_s), stroke, integrator)
 
     (value, seen), (slope, _) = jax.jvp(at, (point[0],), (jnp.ones(()),))
     return value, slope, seen
@@ -106,28 +110,31 @@ def with_jacobian(point, stroke, integrator):
 
 
 @pytest.fixture(scope="module")
-def both():
-    """Points, strokes, and (value, Jacobian, observables) by the closed form and by diffrax."""
+def followed():
+    """Points, and (value, Jacobian, observables) by the closed form and by each integrator."""
     points, strokes = random_rigs(60, seed=3)
     points = np.concatenate([points, BRIEF_HALTS[:, :6]])
     strokes = np.concatenate([strokes, BRIEF_HALTS[:, 6]])
     answers = [
         jax.jit(jax.vmap(partial(with_jacobian, integrator=integrator)))(points, strokes)
-        for integrator in (ClosedForm(), Diffrax())
+        for integrator in (ClosedForm(), *INTEGRATORS)
     ]
     return points, *answers
 
 
-def test_goes_the_way_of_the_closed_form(both):
-    _, (_, _, exact), (_, _, ours) = both
+@pytest.mark.parametrize("which", [0, 1], ids=NAMES)
+def test_goes_the_way_of_the_closed_form(followed, which):
+    _, (_, _, exact), *integrated = followed
+    _, _, ours = integrated[which]
     for name in ("reason", "regime", "contacts", "kind"):
         np.testing.assert_array_equal(getattr(ours, name), getattr(exact, name), name)
     assert np.max(exact.contacts) >= 3
 
 
-def test_agrees_with_the_closed_form_in_values_and_derivatives(both):
-    points, *answers = jax.tree.map(lambda rows: rows[: -len(BRIEF_HALTS)], both)
-    (v_0, J_0, _), (v_1, J_1, _) = answers
+@pytest.mark.parametrize("which", [0, 1], ids=NAMES)
+def test_agrees_with_the_closed_form_in_values_and_derivatives(followed, which):
+    points, exact, *integrated = jax.tree.map(lambda rows: rows[: -len(BRIEF_HALTS)], followed)
+    (v_0, J_0, _), (v_1, J_1, _) = exact, integrated[which]
     known = np.isfinite(v_0)
     assert np.sum(known[:, 1]) > 40
     np.testing.assert_allclose(v_1, v_0, rtol=1e-7)
@@ -240,10 +247,15 @@ def curved_points():
     return np.stack(columns, axis=1), np.where(np.arange(count) % 2, 1.5e-3, np.inf)
 
 
-def test_agrees_with_scipy_on_a_users_own_laws():
+@pytest.fixture(scope="module")
+def expected():
+    return [reference(*row) for row in zip(*curved_points(), strict=True)]
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS, ids=NAMES)
+def test_agrees_with_scipy_on_a_users_own_laws(integrator, expected):
     points, strokes = curved_points()
-    value, slope, seen = curved_pushes(points, strokes)
-    expected = [reference(*row) for row in zip(points, strokes, strict=True)]
+    value, slope, seen = curved_pushes(points, strokes, integrator)
     assert np.isfinite(value).all() and np.max(seen.contacts) >= 2
     np.testing.assert_array_equal(seen.contacts, [e[2] for e in expected])
     np.testing.assert_allclose(value, [e[:2] for e in expected], rtol=1e-7)
@@ -261,7 +273,7 @@ def test_exponent_one_and_no_stribeck_rise_are_the_spring_damper():
     mu_s, k, b, _, mass, velocity = points.T
     one = np.ones_like(k)
     curved = np.stack([mu_s, 0 * one, 0.05 * one, k, one, b, mass, velocity], axis=1)
-    value, _, seen = curved_pushes(curved, strokes)
+    value, _, seen = curved_pushes(curved, strokes, RungeKutta())
     closed_form = jax.jit(jax.vmap(partial(affine_push, integrator=ClosedForm())))
     expected, expected_seen = closed_form(points, strokes)
     np.testing.assert_array_equal(seen.kind, expected_seen.kind)
@@ -282,9 +294,11 @@ def test_second_derivatives_are_right():
         twice = jax.vmap(lambda point: jax.jvp(lambda s: slope(s, point), (0.0,), (1.0,)))
         return jax.jit(twice)(points)
 
-    (_, exact), (_, ours) = second(ClosedForm()), second(Diffrax())
+    _, exact = second(ClosedForm())
     assert np.sum(exact != 0) >= 13  # a distance that does not exist has none
-    np.testing.assert_allclose(ours, exact, rtol=1e-6)
+    for integrator in INTEGRATORS:
+        _, ours = second(integrator)
+        np.testing.assert_allclose(ours, exact, rtol=1e-6)
 
 
 def test_breakaway_is_the_laws_own():

@@ -283,7 +283,7 @@ class Marcher(NamedTuple):
         if self.senses or record:
             stride = self._stride(m, rate, y, f_1, df_1, h, dt)
         if self.senses and stride is not None:
-            release = arrived & (event == GRIP) & (c.mode == REBOUNDING)
+            release = c.touching & ~done.course.touching
             done = done._replace(sensed=sense(motion, m.sensed, stride, release))
         again = m._replace(
             target=jnp.where(cut, event, _NO_EVENT),
