@@ -248,25 +248,47 @@ def test_stiff_bristles_approach_the_plain_rig(bristles):
     assert (stiff < soft / 3)[there].all() and np.nanmax(stiff) < 0.03
 
 
-@pytest.mark.xfail(reason="behind a lag the tip's travel is interpolated to 2e-4 only", strict=True)
-def test_traces_are_the_reference_s():
-    """What the sensors read at any time, filters and a lagging channel included."""
-    ids = ("contact_hardening", "pusher_lag", "force_lowpass", "channel_skew")
+def traces_agree(ids, groups, tolerance):
+    """Hold what the sensors read at any time against the reference, on each group's shortest push
+    and on a plain one."""
     shares = np.sort(np.random.default_rng(2).uniform(-0.01, 1.1, 80))
 
     def read(numbers):
         rig, velocity = built(numbers, ids)
-        push = simulate(rig, velocity, integrator=RungeKutta())
+        push = simulate(rig, velocity, integrator=RungeKutta(looped=True))
         times = shares * push.stop_time
         return times, *push.read(times, times)
 
-    rows = np.array([rows_of(group)[np.argmin(STORED["steps"][rows_of(group)])] for group in ids])
-    numbers = np.concatenate([STORED["parameters"][rows], null_rows(rows[:1])])
+    rows = np.array(
+        [rows_of(group)[np.argmin(STORED["steps"][rows_of(group)])] for group in groups]
+    )
+    numbers = STORED["parameters"][rows]
+    if "presliding" not in ids:
+        numbers = np.concatenate([numbers, null_rows(rows)])
     found = jax.jit(jax.vmap(read), compiler_options=OPTIONS)(numbers)
-    for row, times, force, position in zip(numbers, *found, strict=True):
+    for row, times, *channels in zip(numbers, *found, strict=True):
         exact = reference.traces(dict(zip(NAMES, row, strict=True)), np.asarray(times))
-        for ours, theirs in zip((force, position), exact, strict=True):
-            np.testing.assert_allclose(ours, theirs, atol=1e-7 * np.max(np.abs(theirs)), rtol=0)
+        for ours, theirs in zip(channels, exact, strict=True):
+            size = np.max(np.abs(theirs))
+            np.testing.assert_allclose(ours, theirs, atol=tolerance * size, rtol=0)
+
+
+def test_traces_are_the_reference_s():
+    ids = ("force_lowpass", "channel_skew")
+    traces_agree(ids, ids, 1e-7)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", effects.CATALOGUE)
+def test_traces_with_each_effect_are_the_reference_s(effect):
+    # Between steps the tip's travel behind a lag is known less well than the part's.
+    traces_agree((effect,), (effect,), 1e-6 if effect == "pusher_lag" else 1e-7)
+
+
+@pytest.mark.slow
+def test_a_filter_behind_a_hardened_contact():
+    """Its force is no polynomial of the time where the contact is first touched."""
+    traces_agree(("contact_hardening", "force_lowpass"), ("contact_hardening",), 1e-4)
 
 
 @pytest.mark.slow
