@@ -20,6 +20,7 @@ from difffric.push import REASONS
 from difffric.pusher import ConstantSpeed
 from difffric.rig import Rig, spring_damper_rig
 from difffric.runge_kutta import RungeKutta
+from tests.effect_rigs import OPTIONS
 
 G = 9.80665
 # The part halts on the tip for a moment: u falls just below zero and back within one step.
@@ -61,6 +62,12 @@ class Stribeck(AbstractFriction):
 
     def breakaway(self, F_N):
         return self.mu_s * F_N
+
+
+def compiled(function, integrator):
+    """jax.jit; with RungeKutta, whose program is the largest, compiled quickly and run slowly."""
+    large = isinstance(integrator, RungeKutta)
+    return jax.jit(function, compiler_options=OPTIONS if large else None)
 
 
 def random_rigs(n, seed):
@@ -116,7 +123,9 @@ def followed():
     points = np.concatenate([points, BRIEF_HALTS[:, :6]])
     strokes = np.concatenate([strokes, BRIEF_HALTS[:, 6]])
     answers = [
-        jax.jit(jax.vmap(partial(with_jacobian, integrator=integrator)))(points, strokes)
+        compiled(jax.vmap(partial(with_jacobian, integrator=integrator)), integrator)(
+            points, strokes
+        )
         for integrator in (ClosedForm(), *INTEGRATORS)
     ]
     return points, *answers
@@ -295,7 +304,7 @@ def test_second_derivatives_are_right():
             return jax.jvp(lambda s: along(s, point), (s,), (1.0,))[1]
 
         twice = jax.vmap(lambda point: jax.jvp(lambda s: slope(s, point), (0.0,), (1.0,)))
-        return jax.jit(twice)(points)
+        return compiled(twice, integrator)(points)
 
     _, exact = second(ClosedForm())
     assert np.sum(exact != 0) >= 13  # a distance that does not exist has none
