@@ -180,7 +180,6 @@ class Marcher(NamedTuple):
             aim = jnp.where(meets, CORNER, aim)
         h = stop_gradient(h)
 
-        y, error = (looped_step if self.looped else rk_step)(field, s, rate, h)
         y, errors = (looped_step if self.looped else rk_step)(field, s, rate, h)
         # What goes wrong in contact is amplified by what follows, in a free slide it is not.
         tol = self.tol * jnp.where(c.mode == FREE, 30.0, 1.0)
