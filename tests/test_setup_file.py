@@ -114,7 +114,6 @@ def test_every_number_arrives_in_si(file):
     assert rig.probe == Probe(0.5e-6, 0.3e-6)
     assert setup.mu_s_scatter == 0.015
     assert setup.extras == {}
-    assert setup.effects == {}
 
 
 def test_what_is_optional_has_defaults(file):
@@ -177,7 +176,7 @@ def test_a_byte_order_mark_and_windows_line_ends_are_fine(file):
 
 
 def test_an_empty_table_of_effects_is_fine(file):
-    assert read_setup(file(MINIMAL + "[effects]\n")).effects == {}
+    assert read_setup(file(MINIMAL + "[effects]\n")) == read_setup(file(MINIMAL))
 
 
 # Files that cannot be read
@@ -412,13 +411,6 @@ def test_a_key_outside_its_section(file):
     ]
 
 
-def test_effects_are_refused(file):
-    assert problems(file(MINIMAL + "[effects.stribeck]\nv_s_m_per_s = 0.02\n")) == [
-        "setup.toml: [effects]: expected none, as this version of difffric has no effects yet, "
-        "got stribeck"
-    ]
-
-
 def test_all_problems_are_named_at_once(file):
     text = """\
 [friction]
@@ -430,7 +422,7 @@ b_N_s_per_m = { value = -1, lower = nan, free = "yes" }
 [pusher]
 stroke_mm = -2
 [effects.tilt]
-alpha_rad = 0.01
+alpha = 0.01
 """
     assert problems(file(text)) == [
         "setup.toml: [part] mass_kg: missing, expected a number > 0",
@@ -442,8 +434,7 @@ alpha_rad = 0.01
         "setup.toml: [contact] b_N_s_per_m.lower: expected a number, got nan",
         "setup.toml: [contact] k_N_m: unknown key, did you mean k_N_per_m?",
         "setup.toml: [pusher] stroke_mm: expected a number > 0, got -2",
-        "setup.toml: [effects]: expected none, as this version of difffric has no effects yet, "
-        "got tilt",
+        "setup.toml: [effects.tilt] alpha: unknown key, did you mean alpha_rad?",
     ]
 
 
@@ -569,9 +560,6 @@ def test_what_the_file_cannot_say_is_refused_and_nothing_is_written(tmp_path, mo
     assert refused(spring_damper_rig(mass=math.nan, mu_s=-0.1, k=1e5, b=0.0)) == [
         "setup.toml: [part] mass_kg: expected a number > 0, got nan",
         "setup.toml: [friction] mu_s: expected a number > 0, got -0.1",
-    ]
-    assert refused(Setup(good, effects={"tilt": {"alpha_rad": 0.1}})) == [
-        "setup.toml: [effects.tilt]: expected none, as this version of difffric has no effects yet"
     ]
     assert refused(Setup(good, extras={"k": Extras(free=True)})) == [
         "setup.toml: k: the file has no such number"

@@ -198,7 +198,7 @@ class Fit:
         scatter = old.mu_s_scatter
         if np.isfinite(self.scatter_se) or (self.scatter == 0 and scatter is not None):
             scatter = self.scatter
-        return Setup(self.rig, scatter, extras, old.effects)
+        return Setup(self.rig, scatter, extras)
 
     def as_dict(self) -> dict:
         """The calibration as `result.json` holds it."""

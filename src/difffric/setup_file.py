@@ -2,6 +2,7 @@
 
 A number of the file is plain, `k_N_per_m = 8e5`, or a table that says more of it,
 `k_N_per_m = { value = 8e5, standard_error = 2e3, free = true, lower = 1e5, upper = 1e7 }`.
+A table `[effects.ID]` adds an effect of the catalogue.
 """
 
 from __future__ import annotations
@@ -12,10 +13,12 @@ import math
 import os
 import tomllib
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from decimal import Decimal
-from operator import attrgetter
+from functools import reduce
+from itertools import pairwise
+from operator import getitem
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,96 +27,38 @@ import pydantic
 from jax.core import Tracer
 from pydantic_core import PydanticCustomError
 
-from difffric import units
+from difffric import effects
 from difffric.contact import UnilateralSpringDamper
 from difffric.errors import InputError
-from difffric.friction import ViscousCoulomb
-from difffric.parameters import RIG_PARAMETERS
+from difffric.friction import ViscousCoulomb, innermost
 from difffric.pusher import ConstantSpeed
 from difffric.rig import Rig
 from difffric.sensors import ForceSensor, Probe
-
-
-@dataclass(frozen=True)
-class Range:
-    """What a number may be; besides, it must be finite."""
-
-    words: str
-    holds: Callable[[Any], Any]
-
-    def expected(self, found) -> str:
-        """The range in words, for a message on what was found instead."""
-        return f"expected a {'finite ' if np.isinf(found) else ''}number {self.words}".rstrip()
-
-
-ANY = Range("", lambda x: x == x)
-NOT_NEGATIVE = Range(">= 0", lambda x: x >= 0)
-POSITIVE = Range("> 0", lambda x: x > 0)
-RATIO = Range("> 0 and <= 1", lambda x: (x > 0) & (x <= 1))
-SCATTER = Range(">= 0 and < 1", lambda x: (x >= 0) & (x < 1))
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """A number of the file: its range, where it stands in a `Setup`, the file's unit in SI."""
-
-    section: str
-    key: str
-    range: Range
-    attribute: str
-    unit: float = 1.0
-    required: bool = False
-
-    @property
-    def name(self) -> str:
-        """Its name among the parameters where it has one, else section.key."""
-        return self.key if self.key in RIG_PARAMETERS else f"{self.section}.{self.key}"
-
-    def to_si(self, number: Decimal) -> float:
-        """The value [SI] of the file's number.
-
-        In decimal the two turn into each other without loss, as units are powers of ten; in
-        binary a length could come back one digit off.
-        """
-        value = float(number)
-        return float(number * Decimal(repr(self.unit))) if math.isfinite(value) else value
-
-    def from_si(self, value: float) -> str:
-        """The file's number for a value [SI]."""
-        if not math.isfinite(value):
-            return repr(value)
-        exact = Decimal(repr(value)) / Decimal(repr(self.unit))
-        short = repr(float(exact))
-        return short if Decimal(short) == exact else str(exact)
-
-
-STROKE = Quantity("pusher", "stroke_mm", POSITIVE, "rig.pusher.stroke", units.MM)
-QUANTITIES = (
-    Quantity("part", "mass_kg", POSITIVE, "rig.mass", required=True),
-    Quantity("friction", "mu_s", POSITIVE, "rig.friction.mu_s", required=True),
-    Quantity("friction", "mu_s_scatter", SCATTER, "mu_s_scatter"),
-    Quantity("friction", "mu_k_over_mu_s", RATIO, "rig.friction.mu_k_over_mu_s"),
-    Quantity("friction", "k_v_N_s_per_m", NOT_NEGATIVE, "rig.friction.k_v"),
-    Quantity("contact", "k_N_per_m", POSITIVE, "rig.contact.k", required=True),
-    Quantity("contact", "b_N_s_per_m", NOT_NEGATIVE, "rig.contact.b", required=True),
+from difffric.setup_numbers import (
+    ANY,
+    COMPONENTS,
+    NOT_NEGATIVE,
+    OF_EFFECTS,
+    PLAIN,
+    QUANTITIES,
+    SECTIONS,
     STROKE,
-    Quantity(
-        "force_sensor", "sensitivity_mV_per_N", POSITIVE, "rig.force_sensor.sensitivity", units.MV
-    ),
-    Quantity("force_sensor", "range_N", POSITIVE, "rig.force_sensor.range"),
-    Quantity("force_sensor", "rate_Hz", POSITIVE, "rig.force_sensor.rate"),
-    Quantity("force_sensor", "noise_N", POSITIVE, "rig.force_sensor.noise"),
-    Quantity("probe", "resolution_um", POSITIVE, "rig.probe.resolution", units.UM),
-    Quantity("probe", "noise_um", POSITIVE, "rig.probe.noise", units.UM),
+    EffectQuantity,
+    Quantity,
+    Range,
+    effects_of,
+    layers,
 )
-"""All numbers of the file. One that is neither there nor required takes its class's default."""
+from difffric.setup_numbers import POSITIVE as POSITIVE
 
-SECTIONS = {
-    section: {q.key: q for q in QUANTITIES if q.section == section}
-    for section in dict.fromkeys(q.section for q in QUANTITIES)
+_LAWS = {
+    "friction": ViscousCoulomb,
+    "contact": UnilateralSpringDamper,
+    "pusher": ConstantSpeed,
+    "force_sensor": ForceSensor,
+    "probe": Probe,
 }
-_LAWS = {"friction": ViscousCoulomb, "contact": UnilateralSpringDamper}
-_NO_EFFECTS = "expected none, as this version of difffric has no effects yet"
+"""The laws that the file's numbers are of; effects stand around them."""
 
 
 @dataclass(frozen=True)
@@ -135,8 +80,6 @@ class Setup:
     mu_s_scatter: float | None = None
     """relative standard deviation of mu_s from push to push; None: not known"""
     extras: Mapping[str, Extras] = field(default_factory=dict)
-    effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """always empty: no effect exists yet"""
 
 
 def load_setup(path: str | os.PathLike) -> Rig:
@@ -180,21 +123,22 @@ def write_setup(setup: Setup | Rig, path: str | os.PathLike) -> None:
 def checked(rig: Rig) -> Rig:
     """The rig itself, or an `InputError` that names all its values out of range.
 
-    It sees the mass, the numbers of equations (1) and (2) and the stroke, element by element;
-    other laws, and values that JAX is tracing, pass.
+    It sees the mass, the numbers of equations (1) and (2), the stroke and the effects' numbers,
+    element by element; other laws, and values that JAX is tracing, pass.
     """
     problems = []
-    for q in QUANTITIES:
+    for q in (*PLAIN, *(q for found in effects_of(rig) for q in OF_EFFECTS[found])):
         if q.section in ("force_sensor", "probe") or not _has_law(rig, q.section):
             continue
-        value = attrgetter(q.attribute)(Setup(rig))
+        value = q.of(Setup(rig))
         if q.key == "mu_s_scatter" or isinstance(value, Tracer) or (q is STROKE and value is None):
             continue
         x = np.asarray(value)
         if x.dtype.kind not in "iuf":
             problems.append(f"{q.attribute}: {q.range.expected(0)}, got {value!r}")
             continue
-        good = q.range.holds(x) & (np.isfinite(x) | (q is STROKE))  # infinite stroke: none
+        x = np.asarray(q.of_rig(x))
+        good = q.range.allows(x) | ((q is STROKE) & (x == np.inf))  # which means none
         if not good.all():
             at = np.unravel_index(np.argmin(good), x.shape)
             where = f" at index {', '.join(map(str, at))}" if x.ndim else ""
@@ -205,7 +149,7 @@ def checked(rig: Rig) -> Rig:
 
 
 def _has_law(rig: Rig, section: str) -> bool:
-    return section not in _LAWS or isinstance(getattr(rig, section), _LAWS[section])
+    return section not in _LAWS or isinstance(innermost(getattr(rig, section)), _LAWS[section])
 
 
 def _parse(text: str, name) -> Setup:
@@ -216,47 +160,61 @@ def _parse(text: str, name) -> Setup:
     except ArithmeticError:
         raise InputError(f"{name}: an exponent is beyond all numbers") from None
     try:
-        model = _File.model_validate({section: {} for section in SECTIONS} | document)
+        model = _File.model_validate({table: {} for table in _TABLES} | document)
     except pydantic.ValidationError as error:
         problems = [_problem(e, document) for e in error.errors(include_url=False)]
         raise InputError("\n".join(f"{name}: {problem}" for problem in problems)) from None
-    values, extras = {}, {}
-    for q in QUANTITIES:
-        entry = getattr(getattr(model, q.section), q.key)
-        if entry is not None:
+    values, extras, sizes, inverses = {}, {}, {}, {}
+    for q, entry, said in _entries(model, document):
+        if isinstance(q, EffectQuantity):
+            sizes.setdefault(q.effect.id, {})[q.key] = q.to_si(entry.value)
+            if q.of_law.inverse:
+                inverses[q.name] = q.inverse(entry.value)
+        else:
             values[q.attribute] = q.to_si(entry.value)
-            if isinstance(document[q.section][q.key], dict):
-                extras[q.name] = Extras(**entry.model_dump(exclude={"value"}))
+        extras.pop(q.name, None)
+        if said:
+            extras[q.name] = Extras(**entry.model_dump(exclude={"value"}))
 
     def fields_of(part):
         start = f"rig.{part}."
         return {k.removeprefix(start): x for k, x in values.items() if k.startswith(start)}
 
-    rig = Rig(
-        mass=values["rig.mass"],
-        friction=ViscousCoulomb(**fields_of("friction")),
-        contact=UnilateralSpringDamper(**fields_of("contact")),
-        pusher=ConstantSpeed(**fields_of("pusher")),
-        force_sensor=ForceSensor(**fields_of("force_sensor")),
-        probe=Probe(**fields_of("probe")),
-    )
+    laws = {part: law(**fields_of(part)) for part, law in _LAWS.items()}
+    rig = effects.extended(Rig(mass=values["rig.mass"], **laws), sizes)
+    if inverses:
+        rig = effects.with_numbers(rig, inverses)
     return Setup(rig, values.get("mu_s_scatter"), extras)
 
 
+def _entries(model, document: dict) -> Iterator[tuple[Quantity, Any, bool]]:
+    """Each number of a file, and whether it is a table."""
+    for q in QUANTITIES:
+        table, given = model, document
+        for name in q.section.split("."):
+            table, given = getattr(table, name, None), given.get(name, {})
+        entry = getattr(table, q.key, None)
+        if entry is not None:
+            yield q, entry, isinstance(given[q.key], dict)
+
+
 def _render(setup: Setup, name) -> str:
-    known = {q.name for q in QUANTITIES}
+    # The ratio of friction_ratio is written as the one of equation (1).
+    tables = [*dict.fromkeys(q.section for q in PLAIN)]
+    tables += [f"effects.{found}" for found in effects_of(setup.rig)]
+    known = {q.name for table in tables for q in SECTIONS[table].values()}
     problems = [f"{x}: the file has no such number" for x in setup.extras if x not in known]
-    problems += [f"[effects.{x}]: {_NO_EFFECTS}" for x in setup.effects]
+    problems += _disorder(setup.rig)
     text = ""
-    for section, quantities in SECTIONS.items():
+    for section in tables:
         if not _has_law(setup.rig, section):
-            found = type(getattr(setup.rig, section)).__name__
+            found = type(innermost(getattr(setup.rig, section))).__name__
             problems.append(f"[{section}]: expected {_LAWS[section].__name__}, got {found}")
             continue
         lines = []
-        for q in quantities.values():
+        for q in SECTIONS[section].values():
             try:
-                lines += _assignment(q, attrgetter(q.attribute)(setup), setup.extras.get(q.name))
+                lines += _assignment(q, q.of(setup), setup.extras.get(q.name))
             except InputError as error:
                 problems.append(f"[{section}] {q.key}: {error}")
         if lines:
@@ -264,6 +222,20 @@ def _render(setup: Setup, name) -> str:
     if problems:
         raise InputError("\n".join(f"{name}: {problem}" for problem in problems))
     return text
+
+
+def _disorder(rig: Rig) -> list[str]:
+    """What is wrong with the laws around those of equations (1) and (2): when the file is read
+    effects stand around each other in the catalogue's order."""
+    order = [effect.law for effect in effects.CATALOGUE.values()]
+    problems = []
+    for part in COMPONENTS:
+        around = [type(law) for law in layers(getattr(rig, part))][-2::-1]
+        places = [order.index(law) if law in order else -1 for law in around]
+        if -1 in places or any(inner >= outer for inner, outer in pairwise(places)):
+            got = " within ".join(law.__name__ for law in around)
+            problems.append(f"[{part}]: expected the catalogue's effects in its order, got {got}")
+    return problems
 
 
 def _assignment(q: Quantity, value, extras: Extras | None) -> list[str]:
@@ -274,8 +246,9 @@ def _assignment(q: Quantity, value, extras: Extras | None) -> list[str]:
             raise InputError(f"expected one number, got an array of shape {np.shape(value)}")
         if isinstance(value, Tracer) or np.asarray(value).dtype.kind not in "iuf":
             raise InputError(f"expected a number, got {value!r}")
-        if not (q is STROKE and float(value) == math.inf):  # which means none
-            says["value"] = q.from_si(float(value))
+        number = q.text(float(value))
+        if number is not None:
+            says["value"] = number
     if extras is None:
         return [f"{q.key} = {number}" for number in says.values()]
     for key, x in asdict(extras).items():
@@ -306,7 +279,7 @@ def _number(range: Range, q: Quantity | None = None) -> pydantic.PlainValidator:
         is_number = isinstance(given, int | Decimal) and not isinstance(given, bool)
         exact = Decimal(given) if is_number else Decimal(0)
         value = q.to_si(exact) if q else float(exact)
-        if not (is_number and math.isfinite(value) and range.holds(value)):
+        if not (is_number and range.allows(value)):
             raise _error(f"{range.expected(value)}, got {_shown(given)}")
         return exact if q else value
 
@@ -348,45 +321,63 @@ def _entry(q: Quantity) -> Any:
     return (Annotated[model, as_table], ... if q.required else None)
 
 
-def _section(quantities: dict[str, Quantity]) -> Any:
-    entries: Any = {key: _entry(q) for key, q in quantities.items()}
-    return (pydantic.create_model("_Section", __base__=_Table, **entries), ...)
+class _Effect(_Table):
+    """The numbers of an effect."""
+
+    @pydantic.model_validator(mode="after")
+    def _not_empty(self):
+        if not self.model_fields_set:
+            raise _error(f"expected some of its keys: {', '.join(type(self).model_fields)}")
+        return self
 
 
-def _no_effects(given):
-    if given:
-        raise _error(f"{_NO_EFFECTS}, got {', '.join(given)}")
-    return given
+def _section(section: str) -> Any:
+    of_effect = "." in section
+    entries: Any = {key: _entry(q) for key, q in SECTIONS[section].items()}
+    model = pydantic.create_model("_Section", __base__=_Effect if of_effect else _Table, **entries)
+    return (model, None if of_effect else ...)
 
 
-_FIELDS: Any = {section: _section(quantities) for section, quantities in SECTIONS.items()}
-_FIELDS["effects"] = (Annotated[dict, pydantic.AfterValidator(_no_effects)], {})
+_EFFECTS = [section.removeprefix("effects.") for section in SECTIONS if "." in section]
+_FIELDS: Any = {section: _section(section) for section in SECTIONS if "." not in section}
+_EACH: Any = {name: _section(f"effects.{name}") for name in _EFFECTS}
+_FIELDS["effects"] = (pydantic.create_model("_Effects", __base__=_Table, **_EACH), ...)
+_TABLES = [*_FIELDS]
 _File: Any = pydantic.create_model("_File", __base__=_Table, **_FIELDS)
 
 
 def _problem(error: Mapping[str, Any], document: dict) -> str:
     """`[section] key: what was expected, what was got`."""
-    section, *keys = error["loc"]
-    kind, given = error["type"], error["input"]
-    if len(keys) == 2 and not isinstance(document[section][keys[0]], dict):
-        keys.pop()  # the value of a plain number
-    where = f"[{section}] {'.'.join(keys)}".rstrip()
+    loc, kind, given = error["loc"], error["type"], error["input"]
+    depth = 2 if loc[0] == "effects" else 1
+    if kind == "extra_forbidden" and len(loc) == depth and not isinstance(given, dict):
+        depth -= 1  # a key outside the tables
+    section, keys = ".".join(loc[:depth]), loc[depth:]
+    if len(keys) == 2 and not isinstance(reduce(getitem, loc[:-1], document), dict):
+        keys = keys[:1]  # the value of a plain number
+    where = f"[{section}] {'.'.join(keys)}".removeprefix("[] ").rstrip()
     if kind == "setup":
         return f"{where}: {error['msg']}"
     if kind == "missing":
         return f"{where}: missing, {SECTIONS[section][keys[0]].range.expected(0)}"
     if kind == "extra_forbidden":
-        outside = not keys and not isinstance(given, dict)
-        return f"{section if outside else where}: {_unknown(section, *keys)}"
+        return f"{where}: {_unknown(*loc)}"
     what = "true or false" if kind == "bool_type" else "a table"
     return f"{where}: expected {what}, got {_shown(given)}"
 
 
 def _unknown(*path: str) -> str:
     """What to say of a key that the file does not know."""
-    home = [q.section for q in QUANTITIES if q.key == path[-1]]
-    if home:
+    *within, key = path
+    section = ".".join(within)
+    if section in SECTIONS and f"{within[-1]}.{key}" in effects.GIVEN:
+        return "unknown key, the record of each push says it"
+    if not within and key in _EFFECTS:
+        return f"unknown table, expected [effects.{key}]"
+    home = [q.section for q in QUANTITIES if q.key == key]
+    if len(home) == 1:
         return f"unknown key here, it belongs in [{home[0]}]"
-    known = ([*SECTIONS], [*SECTIONS.get(path[0], ())], [*_Entry.model_fields])[len(path) - 1]
-    close = difflib.get_close_matches(path[-1], known, n=1)
-    return f"unknown key, {f'did you mean {close[0]}?' if close else 'known: ' + ', '.join(known)}"
+    known = {"": _TABLES, "effects": _EFFECTS, **SECTIONS}.get(section, _Entry.model_fields)
+    close = difflib.get_close_matches(key, known, n=1)
+    hint = f"did you mean {close[0]}?" if close else "known: " + ", ".join(known)
+    return f"unknown {'effect' if section == 'effects' else 'key'}, {hint}"
