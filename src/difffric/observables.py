@@ -87,12 +87,12 @@ def marched(marcher: Marcher, m: March) -> Observables:
         sim.RELEASED_AT_STOP,
     )
     sensor, probe = rig.force_sensor, rig.probe
-    peak = m.sensed.peak if sensor.filtered or sensor.sampled else m.peak
+    peak = m.sensed.peak if m.sensed and (sensor.filtered or sensor.sampled) else m.peak
     x, x_lost = marcher.motion.position(m.s), m.x_lost
     if marcher.motion.bristles is not None:
         # Let go, the bristles stand upright, but for what holds the part on a slope.
         x = x - m.s.q - rig.slope / marcher.motion.bristles.stiffness
-    if probe.late:
+    if m.sensed and probe.late:
         x_lost = jnp.where(m.sensed.crossed, m.sensed.x_lost, x_lost)
     return Observables(
         peak_force=jnp.where(too_many | lost_track, jnp.nan, sensor.read(peak)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -11,7 +12,8 @@ from jax import Array
 from difffric.march import Marcher
 from difffric.march_state import March
 from difffric.motion import Motion
-from difffric.sensing import Filtered
+from difffric.rig import Rig
+from difffric.sensing import Filtered, Passed
 from difffric.stride import Stride
 
 
@@ -25,9 +27,9 @@ class Path(NamedTuple):
     motion: Motion
     strides: Stride
     """stacked, padded with t = inf"""
-    filters: Array
-    """(strides, 2) states of the low-pass and the high-pass at each stride's start [N]"""
     end: March
+    filtered_strides: Passed | None = None
+    """what the force sensor's filters let through, stacked likewise; None: it has none"""
 
     def _at(self, time):
         """(stride, its index, share of it) at a time; the end's state beyond the last one."""
@@ -48,14 +50,20 @@ class Path(NamedTuple):
         force = jnp.where(time >= 0, self.motion.force(stride.course, s), 0.0)
         return force, self.motion.position(s), jnp.where(over, 0.0, s.u)
 
+    def read(self, t_force, t_position):
+        """What the sensors read: force [N] and position [m], each at its own times [s]."""
+        sensor, probe = self.motion.rig.force_sensor, self.motion.rig.probe
+        force = jnp.vectorize(self.filtered)(t_force)
+        at = jnp.vectorize(lambda time: self.evaluate(time)[1])
+        return sensor.read(force), probe.scale * at(t_position - probe.delay)
+
     def filtered(self, time):
         """The force that the sensor's filters let through [N]."""
-        sensor = self.motion.rig.force_sensor
-        if not sensor.filtered:
+        if self.filtered_strides is None:
             return self.evaluate(time)[0]
-        stride, i, share, _ = self._at(time)
-        through = Filtered.of(sensor, stride.force_powers(self.motion), self.filters[i], stride.h)
-        return jnp.where(time >= 0, through.value(share), 0.0)
+        _, i, share, _ = self._at(time)
+        passed = jax.tree.map(lambda column: column[i], self.filtered_strides)
+        return jnp.where(time >= 0, passed.value(share), 0.0)
 
 
 def follow(marcher: Marcher, rows: int) -> tuple[March, Path]:
@@ -64,10 +72,9 @@ def follow(marcher: Marcher, rows: int) -> tuple[March, Path]:
     blank = jax.eval_shape(lambda m: marcher.step(m, record=True)[1], start)
     table = jax.tree.map(lambda a: jnp.zeros((rows, *a.shape), a.dtype), blank)
     table = table._replace(t=jnp.full(rows, jnp.inf))
-    filters = jnp.zeros((rows, 2))
 
     def turn(carry):
-        m, table, filters = carry
+        m, table = carry
         new, stride = marcher.step(m, record=True)
         accepted = new.strides > m.strides
         i = jnp.minimum(m.strides, rows - 1)
@@ -76,13 +83,71 @@ def follow(marcher: Marcher, rows: int) -> tuple[March, Path]:
             table,
             stride,
         )
-        if m.sensed is not None:
-            state = jnp.stack([m.sensed.low, m.sensed.high])
-            filters = filters.at[i].set(jnp.where(accepted, state, filters[i]))
-        return new, table, filters
+        return new, table
 
-    m, table, filters = jax.lax.while_loop(
-        lambda carry: marcher.goes_on(carry[0]), turn, (start, table, filters)
-    )
+    m, table = jax.lax.while_loop(lambda carry: marcher.goes_on(carry[0]), turn, (start, table))
     m = m._replace(lost_track=m.lost_track | (m.strides >= rows))
-    return m, Path(marcher.motion, table, filters, m)
+    path = Path(marcher.motion, table, m)
+    return m, _with_filters(path) if marcher.motion.rig.force_sensor.filtered else path
+
+
+def follow_together(marcher: Callable[[Rig, Array], Marcher], rigs: Rig, v, rows: int) -> Path:
+    """The paths of many pushes, followed in one loop that ends with the last of them, for so many
+    steps at most; `end.lost_track` says where that was too few.
+
+    `marcher(rig, v)` is mapped over rigs and speeds [m/s] with a leading axis. `vmap` of `follow`
+    would do the same, and copy the whole table of strides at each step.
+    """
+
+    def step(rig, v, m):
+        here = marcher(rig, v)
+        on = here.goes_on(m)
+        new, stride = here.step(m, record=True)
+        assert stride is not None
+        # A step that is taken again has the time of the next one, which is found in its place.
+        return _select(on, new, m), stride._replace(t=jnp.where(on, stride.t, jnp.inf))
+
+    every = jax.vmap(step)
+    start = jax.vmap(lambda rig, v: marcher(rig, v).start())(rigs, v)
+    blank = jax.eval_shape(lambda m: every(rigs, v, m)[1], start)
+    table = jax.tree.map(lambda a: jnp.zeros((rows, *a.shape), a.dtype), blank)
+    table = table._replace(t=jnp.full((rows, *blank.t.shape), jnp.inf))
+
+    def turn(carry):
+        k, m, table = carry
+        m, stride = every(rigs, v, m)
+        table = jax.tree.map(lambda whole, row: whole.at[k].set(row), table, stride)
+        return k + 1, m, table
+
+    def goes_on(carry):
+        k, m, _ = carry
+        return (k < rows) & ~jnp.all(m.over)
+
+    _, m, table = jax.lax.while_loop(goes_on, turn, (0, start, table))
+    m = m._replace(lost_track=m.lost_track | ~m.over)
+
+    def path(rig, v, m, table):
+        found = Path(marcher(rig, v).motion, table, m)
+        return _with_filters(found) if rig.force_sensor.filtered else found
+
+    table = jax.tree.map(lambda whole: jnp.moveaxis(whole, 0, 1), table)
+    return jax.vmap(path)(rigs, v, m, table)
+
+
+def _with_filters(path: Path) -> Path:
+    """The path with what the force sensor's filters remember at each stride's start."""
+    sensor, strides = path.motion.rig.force_sensor, path.strides
+    there = jnp.isfinite(strides.t)
+    safe = strides._replace(h=jnp.where(there, strides.h, 1.0))
+    powers = jax.vmap(lambda stride: jnp.stack(stride.force_powers(path.motion)))(safe)
+
+    def pass_on(state, given):
+        N, h, end, there = given
+        through = Filtered.of(sensor, N, state, h)
+        after = through.low.value(end), through.high.value(end)
+        new = tuple(jnp.where(there, a, b) for a, b in zip(after, state, strict=True))
+        return new, through.passed()
+
+    zero = jnp.zeros_like(powers[0, 0])
+    _, passed = jax.lax.scan(pass_on, (zero, zero), (powers, safe.h, safe.end, there))
+    return path._replace(filtered_strides=passed)

@@ -25,12 +25,13 @@ class RungeKutta(eqx.Module):
     def check(self, rig: Rig):
         """Every rig is served."""
 
-    def marcher(self, rig: Rig, v) -> Marcher:
-        """The push of a rig at the speed v [m/s] that its pusher comes to."""
+    def marcher(self, rig: Rig, v, blind: bool = False) -> Marcher:
+        """The push of a rig at the speed v [m/s] that its pusher comes to; `blind`: its motion
+        alone."""
         looped = self.looped if self.looped is not None else _depth(rig) > 3
         weight = stop_gradient(rig.F_N)
         z_0 = stop_gradient(_reach(rig.contact, weight))
-        return Marcher(Motion(rig, v), z_0, self.tol, looped)
+        return Marcher(Motion(rig, v), z_0, self.tol, looped, blind)
 
 
 def _reach(contact, force):

@@ -83,6 +83,34 @@ class Filtered(NamedTuple):
         """What passes [N] at a share of the stride."""
         return self.share * (self.low.value(share) - self.high.value(share))
 
+    def passed(self) -> Passed:
+        """The same in few numbers."""
+        powers = [a - b for a, b in zip(self.low.powers, self.high.powers, strict=True)]
+        return Passed(
+            self.share * jnp.stack(powers),
+            self.share * jnp.stack([self.low.rest, -self.high.rest]),
+            jnp.stack([self.low.ratio, self.high.ratio]),
+        )
+
+
+class Passed(NamedTuple):
+    """What filters let through of one stride: a polynomial of its share, and two decays."""
+
+    powers: Array
+    rests: Array
+    """(2,) [N]"""
+    ratios: Array
+    """(2,) step / time constant; infinite: what decays is gone"""
+
+    def value(self, share):
+        """[N] at a share of the stride."""
+        total = self.powers[-1]
+        for n in range(self.powers.shape[0] - 2, -1, -1):
+            total = total * share + self.powers[n]
+        sharp = jnp.isinf(self.ratios)
+        fades = jnp.exp(-jnp.where(sharp, 1.0, self.ratios) * share)
+        return total + jnp.sum(jnp.where(sharp, 0.0, self.rests * fades))
+
 
 def _heard(sensor, seen: Sensed, stride: Stride, N) -> Sensed:
     """The filters' states at the stride's end, and the largest force they have let through."""

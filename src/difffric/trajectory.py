@@ -117,12 +117,10 @@ def _evaluate(trajectory: Trajectory, t):
 
 @jax.jit
 def _read(trajectory: Trajectory, t_force, t_position):
+    if trajectory.path is not None:
+        return trajectory.path.read(t_force, t_position)
     sensor, probe = trajectory.push.rig.force_sensor, trajectory.push.rig.probe
-    path = trajectory.path
-    if sensor.filtered and path is not None:
-        force = jnp.vectorize(path.filtered)(t_force)
-    else:
-        force = _evaluate(trajectory, t_force)[0]
+    force = _evaluate(trajectory, t_force)[0]
     return sensor.read(force), probe.scale * _evaluate(trajectory, t_position - probe.delay)[1]
 
 
