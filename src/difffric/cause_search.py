@@ -1,0 +1,223 @@
+"""The search for one more cause: score test, scan over sizes, refits, held-out pushes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from difffric import ensemble as en
+from difffric.candidates import LOCAL, Scales, grid, numbers_of
+from difffric.effects import KEYS
+from difffric.ensemble import Fits, Task
+
+SUBSET = 6
+"""Pushes that a scan looks at: enough speeds to tell effects apart, at a fraction of the cost."""
+_LEADERS, _SCORED = 5, 4
+"""Effects that are refitted to all pushes: the best of the scan, and of the score test."""
+_TRIALS = 10
+"""How many independent looks a scan over a wavelength, a place or a speed is worth."""
+_ROUNDS = 15
+
+
+_BESIDE = 1e-3
+_INVERSE = {name for name, (_, key) in KEYS.items() if key.inverse}
+
+
+@dataclass(frozen=True)
+class Score:
+    """The score test of one effect at its null: no refit, linear in the effect."""
+
+    drop: float
+    """predicted drop of chi-square, the plain parameters and the scatter projected out"""
+    step: tuple[float, ...]
+    """predicted coordinates of the effect's numbers"""
+    visible: float
+    """the square root of the drop that the effect would make at its typical size"""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect, refitted on top of what is there already."""
+
+    effect: str
+    fits: Fits
+    """an ensemble of one"""
+    drop: float
+    """of -2 log likelihood, against the fit without it"""
+    predicted: float
+    p_value: float
+    """of so large a drop by chance, all effects and looks counted"""
+    penalised_drop: float
+    """less what its numbers would buy in any case"""
+
+
+def score_tests(task: Task, base: Fits, effects: Sequence[str]) -> dict[str, Score]:
+    """The score test of each effect that has one."""
+    coordinates = task.model.coordinates
+    room = task.model.directions - 1 - len(task.shared) - len(base.extra[0])
+    room = max(room, 3)
+    local = [e for e in effects if e in LOCAL]
+    out = {}
+    chunks: list[list[str]] = []
+    for e in local:
+        size = sum(len(numbers_of(x)) for x in chunks[-1]) if chunks else room
+        if size + len(numbers_of(e)) > room:
+            chunks.append([])
+        chunks[-1].append(e)
+    for chunk in chunks:
+        index = [[coordinates.index(x) for x in numbers_of(e)] for e in chunk]
+        extra = (*base.extra[0], *(i for one in index for i in one))
+        # An inverse number (of an acceleration) has no derivative at its null, but beside it.
+        c = base.c.copy()
+        inside = [i for i in extra if coordinates.names[i] in _INVERSE]
+        c[0, inside] = np.maximum(c[0, inside], _BESIDE)
+        at = en.evaluated(task, replace(base, extra=(extra,), c=c))
+        found = en.normal(task, at)
+        H, g = found.H[0], found.g[0]
+        known = task.conditions + len(task.shared) + len(base.extra[0])
+        keep = np.arange(known)
+        first = known
+        for e, own in zip(chunk, index, strict=True):
+            mine = np.arange(first, first + len(own))
+            first += len(own)
+            A = H[np.ix_(keep, keep)]
+            scale = np.sqrt(np.maximum(np.diag(A), 1e-12))
+            solve = np.linalg.pinv(A / np.outer(scale, scale), rcond=1e-12)
+            X = H[np.ix_(keep, mine)] / scale[:, None]
+            S = H[np.ix_(mine, mine)] - X.T @ solve @ X
+            r = g[mine] - X.T @ solve @ (g[keep] / scale)
+            information = max(float(S[0, 0]), 0.0)
+            if information < 1e-6 * max(H[mine[0], mine[0]], 1e-12):
+                out[e] = Score(0.0, (0.0,) * len(own), 0.0)
+                continue
+            step = -np.linalg.solve(S, r)
+            out[e] = Score(float(r @ -step), tuple(step.tolist()), float(np.sqrt(information)))
+    return out
+
+
+def subset_of(task: Task, most: int = SUBSET) -> NDArray:
+    """Pushes over all speeds and conditions for a scan."""
+    v = np.asarray(task.model.pushes.velocity)
+    if task.n <= most:
+        return np.arange(task.n)
+    order = np.lexsort((np.arange(task.n), v))
+    chosen = set(order[np.linspace(0, task.n - 1, most).round().astype(int)].tolist())
+    for k in range(task.conditions):  # one of each condition at least
+        if not chosen & set(np.flatnonzero(task.condition == k).tolist()):
+            chosen.add(int(np.flatnonzero(task.condition == k)[0]))
+    return np.array(sorted(chosen))
+
+
+def starts_of(task: Task, base: Fits, effect: str, scales: Scales, score: Score | None) -> Fits:
+    """An ensemble of starts for one effect on top of `base` (an ensemble of one)."""
+    coordinates = task.model.coordinates
+    index = [coordinates.index(name) for name in numbers_of(effect)]
+    rows = []
+    for values in grid(effect, scales):
+        rows.append([coordinates.coordinate(name, x) for name, x in values.items()])
+    if effect in LOCAL:
+        rows.append([base.c[0, i] for i in index])
+        if score is not None and score.drop > 0:
+            bounds = np.array([coordinates.bounds(name) for name in numbers_of(effect)])
+            now = np.array(rows[-1]) + np.array(score.step)
+            rows.append(np.clip(now, bounds[:, 0], bounds[:, 1]).tolist())
+    m = len(rows)
+    c = np.repeat(base.c, m, axis=0)
+    c[:, index] = rows
+    return Fits(
+        extra=((*base.extra[0], *index),) * m,
+        c=c,
+        mu=np.repeat(base.mu, m, axis=0),
+        own=np.repeat(base.own, m, axis=0),
+        scatter=np.repeat(base.scatter, m),
+        spread=np.repeat(base.spread, m, axis=0),
+    )
+
+
+def explore(
+    task: Task,
+    base: Fits,
+    effects: Sequence[str],
+    scales: Scales,
+    scores: dict[str, Score],
+    tell: Callable[[float], None] = lambda share: None,
+) -> list[Candidate]:
+    """The leading effects, each refitted on top of `base`, the best first."""
+    some = subset_of(task)
+    starts = [starts_of(task, base, e, scales, scores.get(e)) for e in effects]
+    owner = np.concatenate([np.full(s.m, k) for k, s in enumerate(starts)])
+    fits = en.evaluated(task, en.together(*starts), some)
+    tell(0.25)
+    found = en.normal(task, fits)
+    gain = np.einsum("mp,mp->m", en.solve(found.H, found.g), found.g)
+    promised = found.cost + np.minimum(gain, 0.0)
+    # Of each effect the best by what one step promises, and the best as it stands.
+    keep = []
+    for k in range(len(effects)):
+        mine = np.flatnonzero(owner == k)
+        keep.append(int(mine[np.argmin(promised[mine])]))
+        keep.append(int(mine[np.argmin(found.cost[mine])]))
+    keep = np.array(sorted(set(keep)))
+    fits, owner = en.refitted(task, fits.pick(keep), 3, some), owner[keep]
+    tell(0.5)
+    fits, owner = _best_of_each(task, fits, owner)
+    fits = en.refitted(task, fits, 4, some)
+    tell(0.65)
+    subset_cost = en.penalised(fits)
+    leaders = list(np.argsort(subset_cost)[:_LEADERS])
+    by_score = sorted(
+        range(fits.m), key=lambda j: -_drop(scores.get(effects[owner[j]])), reverse=False
+    )
+    leaders += [j for j in by_score[:_SCORED] if j not in leaders]
+    fits, owner = fits.pick(leaders), owner[leaders]
+    # From where the scan led, and from where the score test does.
+    parts, behind = [replace(fits, gram=None, model=None, residual=None, damping=None)], [*owner]
+    for k in owner:
+        score = scores.get(effects[k])
+        if score is not None and score.drop > 4:
+            near = starts_of(task, base, effects[k], scales, score)
+            parts.append(near.pick([near.m - 1]))
+            behind.append(k)
+    fits = en.refitted(task, en.together(*parts), _ROUNDS)
+    tell(0.95)
+    fits, owner = _best_of_each(task, fits, np.array(behind))
+    value, before = en.criterion(task, fits), float(en.criterion(task, base)[0])
+    out = []
+    for j in range(fits.m):
+        effect = effects[owner[j]]
+        drop = before - float(value[j])
+        k = len(numbers_of(effect))
+        out.append(
+            Candidate(
+                effect, fits.pick([j]), drop, _drop(scores.get(effect)),
+                p_value(effect, drop, len(effects)), drop - k * _price(task),
+            )
+        )  # fmt: skip
+    return sorted(out, key=lambda c: -c.penalised_drop)
+
+
+def _drop(score: Score | None) -> float:
+    return 0.0 if score is None else score.drop
+
+
+def _price(task: Task) -> float:
+    """What one number must buy in -2 log likelihood (Schwarz's criterion)."""
+    return float(np.log(max(task.counts.sum(), 2.0)))
+
+
+def p_value(effect: str, drop: float, effects: int) -> float:
+    """Of so large a drop without any effect, all effects and looks counted (Bonferroni)."""
+    looks = 1 if effect in LOCAL else _TRIALS
+    return float(min(1.0, stats.chi2.sf(max(drop, 0.0), len(numbers_of(effect))) * looks * effects))
+
+
+def _best_of_each(task: Task, fits: Fits, owner: NDArray) -> tuple[Fits, NDArray]:
+    cost = en.criterion(task, fits)
+    best = [
+        int(np.flatnonzero(owner == k)[np.argmin(cost[owner == k])]) for k in dict.fromkeys(owner)
+    ]
+    return fits.pick(best), owner[best]

@@ -1,0 +1,367 @@
+"""Given measured data: what the simulation gets wrong, the cause, and what mending it gains.
+
+The plain model is fitted; then one effect after the other is looked for on top of what is there,
+kept where it is significant, gains on held-out pushes and matters, and dropped again where later
+ones made it needless.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from threading import Thread
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric import cause_search as search
+from difffric import effects as catalogue
+from difffric import ensemble as en
+from difffric import parameters
+from difffric.calibration import fit
+from difffric.candidates import component_of, numbers_of
+from difffric.cause_search import Candidate, Score
+from difffric.data_checks import checked_data
+from difffric.diagnosis_data import DiagnosisData, diagnosis_data, plain_fits
+from difffric.effects import CATALOGUE, RATIO
+from difffric.ensemble import Fits
+from difffric.errors import InputError
+from difffric.fit_data import sensor_errors
+from difffric.friction import innermost
+from difffric.lack_of_fit import LackOfFit, lack_of_fit
+from difffric.pushes import Pushes
+from difffric.recordings import Recordings
+from difffric.reduction import reduce_recordings
+from difffric.rig import Rig
+from difffric.setup_file import Extras, Setup
+from difffric.verdict import ADEQUATE, AMBIGUOUS, NAMED, UNEXPLAINED, Cause, Diagnosis, Gain
+
+SIGNIFICANT = 1e-3
+"""An effect is named where chance gives as much with less than this probability."""
+NEGLIGIBLE = 0.1
+"""Share of the plain model's systematic error on held-out pushes below which a cause is listed,
+not added."""
+LEFT = 0.3
+"""Share of it that, left over, makes the misfit unexplained."""
+MOST = 4
+"""Causes that are looked for at most."""
+ALIKE = 2 * np.log(20.0)
+"""Drops of -2 log likelihood within this of each other do not tell two effects apart."""
+_VISIBLE = 3.0
+"""Standard deviations at its typical size from which an effect can be seen."""
+_TEXT = {RATIO: "mu_k / mu_s is not what the set-up says"}
+
+
+def _silent(what: str, share: float) -> None:
+    """Progress that nobody asked for."""
+
+
+def diagnose(
+    rig: Rig | Setup,
+    data: Pushes | Recordings,
+    *,
+    negligible: float = NEGLIGIBLE,
+    use_data_mass: bool = False,
+    skip_bad: bool = False,
+    tell: Callable[[str, float], None] = _silent,
+) -> Diagnosis:
+    """Show what the rig's simulation gets wrong in measured pushes, name the cause, extend the
+    rig by it and measure the gain on held-out pushes.
+
+    `negligible`: the share of the plain model's systematic error below which a cause is listed
+    and not added. Effects that the rig has already stay, and are refitted.
+
+    Raises `InputError` for data that cannot be used.
+    """
+    setup = rig if isinstance(rig, Setup) else Setup(rig)
+    return _Diagnosis(setup, data, negligible, use_data_mass, skip_bad, tell).run()
+
+
+@dataclass
+class _Diagnosis:
+    """One call of `diagnose`."""
+
+    setup: Setup
+    given: Pushes | Recordings
+    share: float
+    use_data_mass: bool
+    skip_bad: bool
+    tell: Callable[[str, float], None]
+    notes: list[str] = field(default_factory=list)
+
+    def run(self) -> Diagnosis:
+        """The diagnosis."""
+        self._prepare()
+        data, task = self.data, self.data.task
+        base = en.refitted(task, self.start, 20)
+        plain = base
+        before = lack_of_fit(task, plain)
+        named: list[tuple[Candidate, tuple[Candidate, ...]]] = []
+        small: list[Candidate] = []
+        first_scores: dict[str, Score] = {}
+        total = None
+        for k in range(MOST):
+            self.tell("looking for a cause", 0.3 + 0.15 * k)
+            wanted = [e for e in data.looked_for if e not in self._there(named)]
+            wanted = [e for e in wanted if e not in [c.effect for c in small]]
+            scores = search.score_tests(task, base, wanted)
+            first_scores = first_scores or scores
+            if k and self._enough(base, scores):
+                break
+            found = search.explore(
+                task, base, wanted, data.scales, scores,
+                lambda s, k=k: self.tell("looking for a cause", 0.3 + 0.15 * (k + s)),
+            )  # fmt: skip
+            found = [c for c in found if c.p_value < SIGNIFICANT]
+            best = next((c for c in found if self._gains(base, c.fits)), None)
+            if best is None:
+                break
+            total = total or max(before.excess, best.drop)
+            if np.sqrt(max(best.drop, 0.0) / total) < self.share:
+                small += [c for c in found if c.penalised_drop > 0]
+                break
+            alike = tuple(
+                c for c in found if c is not best
+                and best.penalised_drop - c.penalised_drop < ALIKE
+            )  # fmt: skip
+            named.append((replace(best, p_value=best.p_value), (*alike, *found)))
+            base = best.fits
+            named, base = self._without_needless(plain, named, base)
+        return self._result(plain, base, before, named, small, first_scores, total)
+
+    def _prepare(self):
+        """The plain fit, and beside it the program that follows extended models."""
+        setup, given = self.setup, self.given
+        plain, known = _stripped(setup.rig)
+        self.known = known
+        checked = checked_data(
+            given, plain, use_data_mass=self.use_data_mass, skip_bad=self.skip_bad,
+            keep_saturated=True,
+        )  # fmt: skip
+        own = replace(setup, rig=plain, extras=_plain_extras(setup))
+        if isinstance(checked, Recordings):
+            reduction = reduce_recordings(checked, skip_bad=self.skip_bad)
+            measured, noise = reduction.pushes, None
+        else:
+            if checked.free_slides:
+                raise InputError(
+                    f"{checked.source}: diagnose: free slides are not looked into yet".lstrip(": ")
+                )
+            reduction, measured = None, checked
+            noise = np.stack([checked.peak_force_se, checked.sliding_distance_se], axis=1)
+            default = [np.nan if x is None else x for x in sensor_errors(plain)]
+            noise = np.where(np.isnan(noise), default, noise)
+        gauged = not np.isnan(measured.mu_s_gauge).any()
+        free = ("k_v_N_s_per_m", "k_N_per_m", "b_N_s_per_m")
+        data = diagnosis_data(plain, measured, reduction, noise, free)
+        compiling = Thread(target=data.task.model.compile)
+        compiling.start()
+        try:
+            self.fit = fit(
+                own, checked, tell=lambda what, s: self.tell(what, 0.25 * s),
+                use_data_mass=self.use_data_mass, skip_bad=self.skip_bad,
+            )  # fmt: skip
+        finally:
+            compiling.join()
+        self.data = replace(data, task=replace(data.task, mu_free=not gauged))
+        self.folds = _folds(self.data.task.n)
+        start = plain_fits(self.data, self.fit)
+        coordinates = self.data.task.model.coordinates
+        c = start.c.copy()
+        extra = []
+        for name, value in known.items():
+            c[0, coordinates.index(name)] = coordinates.coordinate(name, value)
+            extra.append(coordinates.index(name))
+        self.start = replace(start, c=c, extra=(tuple(extra),))
+
+    def _there(self, named) -> set[str]:
+        """Effects that are in the model already."""
+        known = {name.partition(".")[0] for name in self.known}
+        return known | {c.effect for c, _ in named}
+
+    def _enough(self, base: Fits, scores: dict[str, Score]) -> bool:
+        """Whether nothing is left that a further search could find."""
+        left = lack_of_fit(self.data.task, base)
+        seen = [search.p_value(e, s.drop, len(scores)) for e, s in scores.items()]
+        return (left.p_value is None or left.p_value > 0.01) and min(seen, default=1.0) > 0.01
+
+    def _gains(self, base: Fits, new: Fits) -> bool:
+        task = self.data.task
+        old = en.held_out(task, replace(base, spread=new.spread), self.folds).sum()
+        return bool(en.held_out(task, new, self.folds).sum() < old)
+
+    def _without_needless(self, plain, named, base):
+        """Causes that later ones made needless are dropped again."""
+        task = self.data.task
+        if len(named) < 2:
+            return named, base
+        for k in range(len(named) - 1):
+            effect = named[k][0].effect
+            gone = [task.model.coordinates.index(x) for x in numbers_of(effect)]
+            c = base.c.copy()
+            c[0, gone] = plain.c[0, gone]
+            extra = tuple(i for i in base.extra[0] if i not in gone)
+            less = replace(base, c=c, extra=(extra,), gram=None, damping=None)
+            less = en.refitted(task, less, 15)
+            drop = float(en.criterion(task, less)[0] - en.criterion(task, base)[0])
+            if search.p_value(effect, drop, len(self.data.looked_for)) > SIGNIFICANT:
+                return self._without_needless(plain, named[:k] + named[k + 1 :], less)
+        return named, base
+
+    def _result(self, plain, base, before, named, small, scores, total) -> Diagnosis:
+        task = self.data.task
+        after = lack_of_fit(task, base)
+        held = [
+            en.held_out(task, replace(x, spread=base.spread), self.folds) for x in (plain, base)
+        ]
+        numbers = task.counts.sum()
+        spent = task.n * (task.mu_free + task.model.recordings)
+        floor = float(np.sqrt(max(numbers - spent, 1) / numbers))
+        gain = Gain(*(float(np.sqrt(h.sum() / numbers)) for h in held), floor)
+        location = None
+        scale = total or max(before.excess, 1.0)
+        misfit = after.p_value is not None and after.p_value < SIGNIFICANT
+        if misfit and np.sqrt(max(after.excess, 0.0) / scale) > LEFT:
+            named, base, gain = [], plain, replace(gain, after=gain.before)
+            verdict, location = UNEXPLAINED, self._location(plain)
+        elif not named:
+            verdict = ADEQUATE
+        else:
+            alike = self._alike(*named[0])
+            verdict = AMBIGUOUS if alike else NAMED
+        causes = self._causes(plain, base, named, scores)
+        if named and verdict == NAMED and any(c.confusable_with for c in causes):
+            verdict = AMBIGUOUS
+        rig = self._rig(base)
+        return Diagnosis(
+            verdict=verdict,
+            p_value=before.p_value,
+            causes=causes,
+            negligible=tuple(self._cause(plain, c, (), scores) for c in small),
+            location=location,
+            gain=gain,
+            not_visible=self._not_visible(scores),
+            impossible=self.data.impossible,
+            plain=self.fit,
+            rig=rig,
+            setup=self._setup(rig, base),
+            mu_s=tuple(np.exp(base.mu[0, task.condition] + base.own[0]).tolist()),
+            notes=(*self.fit.notes, *self.notes),
+            work=(self.data, plain, base, before, after),
+        )
+
+    def _alike(self, best: Candidate, others: Sequence[Candidate]) -> tuple[str, ...]:
+        near = [c.effect for c in others if c.effect != best.effect
+                and best.penalised_drop - c.penalised_drop < ALIKE]  # fmt: skip
+        return tuple(dict.fromkeys(near))
+
+    def _causes(self, plain, base, named, scores) -> tuple[Cause, ...]:
+        out = []
+        for best, others in named:
+            others = tuple({c.effect: c for c in others}.values())
+            weights = [np.exp(0.5 * (c.penalised_drop - best.penalised_drop)) for c in others]
+            total = sum(weights) + np.exp(-0.5 * best.penalised_drop)
+            cause = self._cause(plain, best, self._alike(best, others), scores, base)
+            out.append(replace(cause, probability=float(1.0 / max(total, 1.0))))
+        return tuple(out)
+
+    def _cause(self, plain, candidate: Candidate, alike, scores, base=None) -> Cause:
+        """The cause as it is told, its numbers those of the final fit."""
+        task, effect = self.data.task, candidate.effect
+        at = candidate.fits if base is None else base
+        coordinates = task.model.coordinates
+        columns = [*task.shared, *at.extra[0]]
+        errors = np.sqrt(np.diag(en.covariance(task, at)[0]))[task.conditions :]
+        found = {}
+        for name in numbers_of(effect):
+            i = coordinates.index(name)
+            key = "ratio" if effect == RATIO else name.partition(".")[2]
+            error = abs(coordinates.slope(name, at.c[0, i])) * errors[columns.index(i)]
+            found[key] = (coordinates.value(name, at.c[0, i]), float(error))
+        score = scores.get(effect)
+        held = [en.held_out(task, x, self.folds).sum() for x in (plain, candidate.fits)]
+        changed = (at.mu[0, task.condition] + at.own[0]) - (
+            plain.mu[0, task.condition] + plain.own[0]
+        )
+        return Cause(
+            id=effect,
+            component=component_of(effect),
+            text=_TEXT.get(effect) or CATALOGUE[effect].text,
+            probability=1.0,
+            confusable_with=alike,
+            parameters=found,
+            chi2_drop=candidate.drop,
+            chi2_drop_predicted=0.0 if score is None else score.drop,
+            p_value=candidate.p_value,
+            heldout_gain=float(held[0] - held[1]),
+            change_mu_s=float(np.sqrt(np.mean(changed**2))),
+        )
+
+    def _not_visible(self, scores: dict[str, Score]) -> tuple[str, ...]:
+        unseen = [e for e, s in scores.items() if s.visible < _VISIBLE]
+        return (*self.data.impossible, *unseen)
+
+    def _location(self, plain: Fits) -> str | None:
+        return None
+
+    def _rig(self, base: Fits) -> Rig:
+        task = self.data.task
+        coordinates = task.model.coordinates
+        plain, _ = _stripped(self.setup.rig)
+        values = {
+            name: coordinates.value(name, base.c[0, coordinates.index(name)])
+            for name in coordinates.names[: len(parameters.RIG_PARAMETERS) - 1]
+            if name != "mu_s"
+        }
+        values["mu_s"] = float(np.exp(base.mu[0].mean()))
+        rig = parameters.with_values(plain, values)
+        inside: dict[str, dict[str, float]] = {}
+        for i in base.extra[0]:
+            effect, _, key = coordinates.names[i].partition(".")
+            if key:
+                value = coordinates.value(coordinates.names[i], base.c[0, i])
+                inside.setdefault(effect, {})[key] = value
+        return catalogue.extended(rig, inside)
+
+    def _setup(self, rig: Rig, base: Fits) -> Setup:
+        """The set-up as it is written: values, standard errors, what is free."""
+        task = self.data.task
+        coordinates = task.model.coordinates
+        errors = np.sqrt(np.diag(en.covariance(task, base)[0]))
+        extras = dict(self.setup.extras)
+        columns = [*task.shared, *base.extra[0]]
+        for j, i in enumerate(columns):
+            name = coordinates.names[i]
+            error = abs(coordinates.slope(name, base.c[0, i])) * errors[task.conditions + j]
+            known = extras.get(name, Extras())
+            extras[name] = Extras(float(error), True, known.lower, known.upper)
+        scatter = float(base.scatter[0]) if task.mu_free else self.setup.mu_s_scatter
+        return Setup(rig, scatter, extras)
+
+
+def _stripped(rig: Rig) -> tuple[Rig, dict[str, float]]:
+    """The plain rig behind an extended one, and the effects' numbers by name."""
+    known = {n: float(parameters.values(rig)[n]) for n in catalogue.parameter_names(rig)}
+    plain = replace_laws(rig)
+    return plain, known
+
+
+def replace_laws(rig: Rig) -> Rig:
+    """The rig with the innermost law of each component."""
+    return replace(
+        rig, friction=innermost(rig.friction), contact=innermost(rig.contact),
+        pusher=innermost(rig.pusher), force_sensor=innermost(rig.force_sensor),
+        probe=innermost(rig.probe),
+    )  # fmt: skip
+
+
+def _plain_extras(setup: Setup) -> dict[str, Extras]:
+    return {name: x for name, x in setup.extras.items() if name not in catalogue.KEYS}
+
+
+def _folds(n: int) -> NDArray:
+    """(n,) the fold of each push: one push each, or about twenty folds of every nth."""
+    return np.arange(n) % max(min(n, 20), 1)
+
+
+__all__ = ["LackOfFit", "diagnose"]

@@ -1,0 +1,144 @@
+"""Measured pushes as a diagnosis takes them, beside the plain fit from which it starts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric import parameters
+from difffric.blocks import stacked_blocks
+from difffric.candidates import Scales
+from difffric.effects import CATALOGUE, RATIO
+from difffric.ensemble import Fits, Task
+from difffric.extended_model import PLAIN, Coordinates, ExtendedModel, Pushes, without
+from difffric.fitted import Fit
+from difffric.pushes import Pushes as Measured
+from difffric.reduction import Reduction
+from difffric.rig import Rig
+
+NOT_IN_RECORDINGS = ("sample_clipping", "release_threshold")
+"""Effects that only reduced numbers have."""
+OWN_PROGRAM = ("presliding",)
+SEPARATE = ("mu_s",)
+
+
+@dataclass(frozen=True)
+class DiagnosisData:
+    """What is compared: the task, its scales, and the effects that can be looked for."""
+
+    task: Task
+    scales: Scales
+    measured: Measured
+    looked_for: tuple[str, ...]
+    impossible: dict[str, str]
+    """effects that these data cannot show, with the reason"""
+
+
+def strokes_of(rig: Rig, measured: Measured) -> NDArray:
+    """(n,) [m]; infinite where none is known."""
+    own = rig.pusher.stroke
+    default = np.inf if own is None else float(own)
+    return np.where(np.isnan(measured.stroke), default, measured.stroke)
+
+
+def diagnosis_data(
+    rig: Rig, measured: Measured, reduction: Reduction | None, noise, free: tuple[str, ...]
+) -> DiagnosisData:
+    """The data of a table (`noise`: standard errors of F_p and d, (n, 2), NaN: not known) or of
+    recordings, against a plain rig; `free` are the shared parameters beside mu_s."""
+    n = len(measured)
+    strokes = strokes_of(rig, measured)
+    order = measured.order if np.isfinite(measured.order).all() else np.arange(n, dtype=float)
+    span = np.ptp(order)
+    mass = np.where(np.isnan(measured.mass), float(rig.mass), measured.mass)
+    rest = measured.rest_before
+    impossible = _impossible(measured, reduction, mass, span)
+    if reduction is None:
+        data, counts, open_ = _table(measured, noise)
+        left_out = OWN_PROGRAM
+    else:
+        values = parameters.values(rig)
+        frequency = np.sqrt(float(values["k_N_per_m"]) / mass.min())
+        data = stacked_blocks(reduction.recordings, reduction.details, strokes, frequency)
+        counts = np.stack([(blocks.a > 0).sum(axis=1) for blocks in data], axis=1).astype(float)
+        open_ = (False, False)
+        left_out = (*OWN_PROGRAM, *NOT_IN_RECORDINGS)
+    pushes = Pushes(
+        measured.velocity, mass, strokes, (order - order.min()) / (span or 1.0),
+        np.nan_to_num(rest), data,
+    )  # fmt: skip
+    whole = without(parameters.with_stroke(rig, 1.0), left_out)
+    coordinates = Coordinates.of(whole)
+    names = list(dict.fromkeys(measured.condition))
+    task = Task(
+        model=ExtendedModel(coordinates, whole, pushes, reduction is not None),
+        shared=tuple(coordinates.index(name) for name in free),
+        condition=np.array([names.index(c) for c in measured.condition]),
+        open_spread=open_,
+        counts=counts,
+    )
+    looked_for = tuple(
+        e for e in (*CATALOGUE, RATIO) if e not in left_out and e not in impossible
+    )
+    if "mu_k_over_mu_s" in free:
+        looked_for = tuple(e for e in looked_for if e != RATIO)
+    return DiagnosisData(task, _scales(rig, measured, strokes, mass), measured, looked_for,
+                         impossible)  # fmt: skip
+
+
+def _table(measured: Measured, noise):
+    both = np.stack([measured.peak_force, measured.sliding_distance], axis=1)
+    there = np.isfinite(both)
+    open_ = tuple(bool((there & np.isnan(noise))[:, k].any()) for k in (0, 1))
+    size = [np.abs(both[there[:, k], k]).max(initial=1e-9) for k in (0, 1)]
+    sd = np.where(np.isnan(noise), 0.02 * np.array(size), noise)
+    weight = np.where(there, 1.0 / sd, 0.0)
+    return (np.where(there, both, 0.0), weight), there.astype(float), open_
+
+
+def _impossible(measured: Measured, reduction, mass, span) -> dict[str, str]:
+    """Effects that these data have no way to show."""
+    out = {}
+    if not np.isfinite(measured.rest_before).all():
+        out["static_dwell"] = "the rest before each push (rest_before_s) is not recorded"
+    elif np.ptp(np.log1p(measured.rest_before)) < 1e-6:
+        out["static_dwell"] = "every push had the same rest before it"
+    if span == 0 or len(measured) < 3:
+        out["friction_drift"] = "too few pushes to show a drift"
+    if np.ptp(mass) < 1e-6 * mass.max():
+        out["normal_force"] = "every push had the same mass: a normal force is one with mu_s"
+    if reduction is not None:
+        for name in NOT_IN_RECORDINGS:
+            out[name] = "recordings hold the samples themselves"
+    return out
+
+
+def _scales(rig: Rig, measured: Measured, strokes, mass) -> Scales:
+    F, d = measured.peak_force, measured.sliding_distance
+    mu = float(parameters.values(rig)["mu_s"])
+    peak = float(np.nanmax(F)) if np.isfinite(F).any() else mu * float(mass.max()) * 9.80665
+    slid = float(np.nanmax(d)) if np.isfinite(d).any() else 1e-3
+    contact = peak / float(parameters.values(rig)["k_N_per_m"])
+    finite = strokes[np.isfinite(strokes)]
+    travel = float(np.median(finite)) if len(finite) else 10 * contact
+    return Scales(
+        mass=float(mass.mean()), mu_s=mu, fastest=float(measured.velocity.max()),
+        slowest=float(measured.velocity.min()), peak=peak, reach=travel + slid, travel=travel,
+    )  # fmt: skip
+
+
+def plain_fits(data: DiagnosisData, fit: Fit) -> Fits:
+    """Where the plain fit ended, as an ensemble of one."""
+    task = data.task
+    coordinates, conditions = task.model.coordinates, list(dict.fromkeys(fit.conditions))
+    c = np.zeros((1, len(coordinates.names)))
+    values = parameters.values(fit.rig)
+    for name in PLAIN:
+        c[0, coordinates.index(name)] = coordinates.coordinate(name, float(values[name]))
+    log_mu = np.log(fit.mu_s)
+    mu = np.array([[log_mu[task.condition == k].mean() for k in range(len(conditions))]])
+    own = (log_mu - mu[0, task.condition])[None]
+    scatter = np.array([max(fit.scatter, 1e-4)])
+    return Fits(((),), c, mu, own, scatter, np.ones((1, 2)))

@@ -1,0 +1,322 @@
+"""The extended model beside measured pushes: every effect of the catalogue in one program.
+
+Coordinates are the plain parameters and all the effects' numbers, each effect at its null unless
+a candidate says otherwise. The program answers for many pairs of a push and its coordinates at
+once, with the Gram matrix of the whitened residuals and of their exact derivatives in a few
+directions that are chosen when it is called: a score test, a scan and a refit of any subset run
+the same compiled code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property, lru_cache, partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric import effects, parameters
+from difffric.blocks import Blocks
+from difffric.compiling import soon_compiled
+from difffric.observables import marched, observe
+from difffric.path import follow_together
+from difffric.rig import Rig
+from difffric.runge_kutta import RungeKutta
+
+PLAIN = ("mu_s", "mu_k_over_mu_s", "k_v_N_s_per_m", "k_N_per_m", "b_N_s_per_m")
+"""Coordinates of the plain model: logarithms, and k_v in units of `K_V`."""
+K_V = 10.0
+BATCH = 32
+"""Pairs that one call answers for."""
+STEPS = 320
+"""Steps that a push may take."""
+TOLERANCE = 1e-7
+"""Of a step: far below what measured pushes let see."""
+
+Array = Any
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """How a vector of numbers stands for an extended rig. Effects' coordinates are 0 at the null
+    and of order 1 at a size that one may meet."""
+
+    names: tuple[str, ...]
+    null: tuple[float, ...]
+    unit: tuple[float, ...]
+
+    @classmethod
+    def of(cls, rig: Rig) -> Coordinates:
+        """Of the plain parameters and of all effects' numbers that the rig has."""
+        extra = effects.parameter_names(rig)
+        keys = [effects.KEYS[name][1] for name in extra]
+        null = [_finite(key.to_law(key.null)) for key in keys]
+        size = [abs(key.to_law(key.typical) - x) for key, x in zip(keys, null, strict=True)]
+        return cls(
+            (*PLAIN, *extra),
+            (0.0,) * len(PLAIN) + tuple(null),
+            (1.0, 1.0, K_V, 1.0, 1.0) + tuple(s if s > 0 else 1.0 for s in size),
+        )
+
+    def index(self, name: str) -> int:
+        """Where a name stands."""
+        return self.names.index(name)
+
+    def coordinate(self, name: str, value: float) -> float:
+        """The coordinate of a value [SI, as files write it]."""
+        i = self.index(name)
+        if name not in PLAIN:
+            value = _finite(effects.KEYS[name][1].to_law(value))
+        elif name != "k_v_N_s_per_m":
+            return float(np.log(max(value, 1e-12)))
+        return float((value - self.null[i]) / self.unit[i])
+
+    def value(self, name: str, coordinate: float) -> float:
+        """The value [SI, as files write it] of a coordinate."""
+        i = self.index(name)
+        number = self.null[i] + self.unit[i] * coordinate
+        if name in PLAIN:
+            return float(number if name == "k_v_N_s_per_m" else np.exp(coordinate))
+        return float(effects.KEYS[name][1].to_law(float(number)))
+
+    def slope(self, name: str, coordinate: float) -> float:
+        """d value / d coordinate."""
+        i = self.index(name)
+        if name in PLAIN:
+            return float(K_V if name == "k_v_N_s_per_m" else np.exp(coordinate))
+        number = self.null[i] + self.unit[i] * coordinate
+        inverse = effects.KEYS[name][1].inverse
+        return float(-self.unit[i] / number**2 if inverse and number else self.unit[i])
+
+    def bounds(self, name: str) -> tuple[float, float]:
+        """Between which coordinates a number makes sense."""
+        if name == "k_v_N_s_per_m":
+            return 0.0, np.inf
+        if name == "mu_k_over_mu_s":
+            return -np.inf, 0.0
+        if name in PLAIN:
+            return -np.inf, np.inf
+        key = effects.KEYS[name][1]
+        if key.inverse:
+            return 0.0, np.inf
+        i = self.index(name)
+        ends = [(x - self.null[i]) / self.unit[i] for x in (key.lower, key.upper)]
+        return min(ends), max(ends)
+
+    def rig(self, rig: Rig, c) -> Rig:
+        """The rig at coordinates c; traceable."""
+        numbers = {}
+        for i, name in enumerate(self.names):
+            if name == "k_v_N_s_per_m":
+                numbers[name] = K_V * c[i]
+            elif name in PLAIN:
+                numbers[name] = jnp.exp(c[i])
+            else:
+                numbers[name] = self.null[i] + self.unit[i] * c[i]
+        at = parameters.with_values(rig, {n: numbers[n] for n in PLAIN})
+        return effects.with_numbers(at, {n: numbers[n] for n in self.names[len(PLAIN) :]})
+
+
+_HUGE = 1e6
+
+
+def _finite(x: float) -> float:
+    """A level that nothing reaches, where the null is none."""
+    return float(np.clip(x, -_HUGE, _HUGE))
+
+
+class Pushes(NamedTuple):
+    """What each push says of itself, and its samples; (n, ...) stacked."""
+
+    velocity: Array
+    mass: Array
+    stroke: Array
+    share: Array
+    """of friction's drift: 0 at the first push, 1 at the last"""
+    rest: Array
+    """before the push [s]"""
+    data: Any
+    """(force, position) of `Blocks`; or (measured (n, 2), 1 / standard error (n, 2)) of a table"""
+
+
+class Answer(NamedTuple):
+    """One pair's answer."""
+
+    gram: Array
+    """(2, D + 1, D + 1) of [J | r] of force and position, r = measured - model, whitened"""
+    model: Array
+    """(2,) F_p [N] and d [m]; NaN: there is none"""
+    residual: Array
+    """(2, m) whitened; of a table m = 1"""
+
+
+def own_rig(coordinates: Coordinates, rig: Rig, push: Pushes, c) -> Rig:
+    """The rig of one push at coordinates c."""
+    at = coordinates.rig(rig, c)
+    new = {"mass_kg": push.mass}
+    given = {"friction_drift.share": push.share, "static_dwell.rest": push.rest}
+    known = {name.partition(".")[0] for name in coordinates.names}
+    new |= {name: x for name, x in given.items() if name.partition(".")[0] in known}
+    at = parameters.with_values(at, new)
+    return parameters.with_stroke(at, push.stroke)
+
+
+def _mean(blocks: Blocks, at_instants):
+    return 0.5 * (at_instants[blocks.first] + at_instants[blocks.second])
+
+
+def _white(blocks: Blocks, r):
+    before = jnp.concatenate([jnp.zeros_like(r[:1]), r[:-1]])
+    return (blocks.a * r.T - blocks.b * before.T).T
+
+
+def _recordings(coordinates, rig, pushes: Pushes, c, directions) -> Answer:
+    """The answers for B recorded pushes at coordinates (B, K), along directions (B, D, K)."""
+    force, position = pushes.data
+    integrator = RungeKutta(TOLERANCE)
+
+    def readings(c):
+        rigs = jax.vmap(lambda push, c: own_rig(coordinates, rig, push, c))(pushes, c)
+        v = jax.vmap(lambda rig, v: rig.pusher.speed(v))(rigs, pushes.velocity)
+        paths = follow_together(partial(integrator.marcher, blind=True), rigs, v, STEPS)
+        f, x = jax.vmap(lambda path, *t: path.read(*t))(paths, force.t, position.t)
+        seen = jax.vmap(lambda rig, v, m: marched(integrator.marcher(rig, v, True), m))
+        seen = seen(rigs, v, paths.end)
+        model = jnp.stack([seen.peak_force, seen.sliding_distance], axis=1)
+        means = jax.vmap(_mean)
+        return (means(force, f), means(position, x)), model
+
+    ((f, x), model), (by, _) = _along(readings, c, directions)
+
+    def compared(blocks: Blocks, model, by, centred):
+        A = _white(blocks, jnp.column_stack([-by.T, blocks.y - model]))
+        if centred:  # the position's zero is arbitrary
+            one = _white(blocks, jnp.ones_like(blocks.y))
+            norm = jnp.sum(one**2)
+            A = A - one[:, None] * ((one @ A) / jnp.where(norm > 0, norm, 1.0))
+        return A.T @ A, A[:, -1]
+
+    by_f, by_x = (jnp.moveaxis(a, 0, 1) for a in by)
+    G_f, r_f = jax.vmap(partial(compared, centred=False))(force, f, by_f)
+    G_x, r_x = jax.vmap(partial(compared, centred=True))(position, x, by_x)
+    return Answer(jnp.stack([G_f, G_x], 1), model, jnp.stack([r_f, r_x], 1))
+
+
+def _table(coordinates, rig, pushes: Pushes, c, directions) -> Answer:
+    """The same for a table's F_p and d."""
+    measured, weight = pushes.data
+
+    def numbers(c):
+        def one(push, c):
+            at = own_rig(coordinates, rig, push, c)
+            seen = observe(at, push.velocity, RungeKutta(TOLERANCE))
+            return jnp.stack([seen.peak_force, seen.sliding_distance])
+
+        return jax.vmap(one)(pushes._replace(data=None), c)
+
+    model, by = _along(numbers, c, directions)
+    # Where the part never leaves the tip it slides no distance: d counts as 0.
+    r = weight * (measured - jnp.where(jnp.isnan(model), 0.0, model))
+    J = -weight * jnp.where(jnp.isnan(by), 0.0, by)
+    A = jnp.concatenate([jnp.moveaxis(J, 0, 2), r[:, :, None]], axis=2)
+    return Answer(A[:, :, :, None] * A[:, :, None, :], model, r[:, :, None])
+
+
+def _along(function, c, directions):
+    """(value, derivatives along `directions` (B, D, K), in front)."""
+    along = jax.vmap(lambda v: jax.jvp(function, (c,), (v,)), in_axes=1, out_axes=(None, 0))
+    return along(directions)
+
+
+@lru_cache(maxsize=16)
+def _compiled(coordinates: Coordinates, recordings: bool, structure, shapes):
+    """The program for data of these shapes, for all data of these shapes."""
+    answer = _recordings if recordings else _table
+
+    def program(rig, pushes, index, c, directions):
+        own = jax.tree.map(lambda column: column[index], pushes)
+        return answer(coordinates, rig, own, c, directions)
+
+    leaves = [jnp.zeros(shape, kind) for shape, kind in shapes]
+    return soon_compiled(program).lower(*jax.tree.unflatten(structure, leaves)).compile()
+
+
+@dataclass(frozen=True)
+class ExtendedModel:
+    """Measured pushes, and a rig with all effects at their nulls, ready to be compared."""
+
+    coordinates: Coordinates
+    rig: Rig
+    pushes: Pushes
+    recordings: bool
+    directions: int = 10
+
+    @cached_property
+    def _fixed(self):
+        return parameters.as_arrays(self.rig), jax.tree.map(jnp.asarray, self.pushes)
+
+    def _example(self):
+        K = len(self.coordinates.names)
+        return (
+            *self._fixed,
+            jnp.zeros(BATCH, int),
+            jnp.zeros((BATCH, K)),
+            jnp.zeros((BATCH, self.directions, K)),
+        )
+
+    @cached_property
+    def _compiled(self):
+        example = self._example()
+        shapes = tuple((x.shape, str(x.dtype)) for x in jax.tree.leaves(example))
+        structure = jax.tree.structure(example)
+        return _compiled(self.coordinates, self.recordings, structure, shapes)
+
+    def compile(self) -> None:
+        """Make the program ready; may be left to another thread."""
+        _ = self._compiled
+
+    @property
+    def n(self) -> int:
+        """Pushes."""
+        return len(self.pushes.velocity)
+
+    def answers(self, index: NDArray, c: NDArray, directions: NDArray) -> Answer:
+        """For N pairs: pushes `index` (N,), coordinates (N, K), directions (N, D, K) or (D, K),
+        D at most `directions`. NumPy arrays come back, Gram matrices of D + 1 columns."""
+        N, K = c.shape
+        directions = np.broadcast_to(directions, (N, *np.shape(directions)[-2:]))
+        # A batch goes on for as long as its longest push: alike ones together.
+        order = np.lexsort((index, np.asarray(self.pushes.velocity)[index]))
+        index, c, directions = index[order], c[order], directions[order]
+        D = directions.shape[1]
+        padded = np.zeros((N, self.directions, K))
+        padded[:, :D] = directions
+        parts = [slice(lo, min(lo + BATCH, N)) for lo in range(0, N, BATCH)]
+
+        def do(part):
+            size = part.stop - part.start
+            fill = np.minimum(np.arange(BATCH), size - 1)
+            return jax.tree.map(
+                lambda a: np.asarray(a)[:size],
+                self._compiled(
+                    *self._fixed, index[part][fill], c[part][fill], padded[part][fill]
+                ),
+            )
+
+        with ThreadPoolExecutor(2) as pool:
+            found = list(pool.map(do, parts))
+        back = np.argsort(order)
+        whole = jax.tree.map(lambda *a: np.concatenate(a)[back], *found)
+        keep = [*range(D), self.directions]
+        return whole._replace(gram=whole.gram[:, :, keep][:, :, :, keep])
+
+
+def without(rig: Rig, ids: Sequence[str]) -> Rig:
+    """The universal rig of a plain one, but for some effects."""
+    every = {e: {} for e in effects.CATALOGUE if e not in ids}
+    return effects.extended(rig, every)

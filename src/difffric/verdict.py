@@ -1,0 +1,138 @@
+"""What a diagnosis says: the verdict, its causes, and what they bought."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from difffric.fitted import Fit
+from difffric.rig import Rig
+from difffric.setup_file import Setup
+
+ADEQUATE, NAMED, AMBIGUOUS, UNEXPLAINED = "adequate", "named", "ambiguous", "unexplained"
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One effect that the data show."""
+
+    id: str
+    component: str
+    text: str
+    """what a person reads"""
+    probability: float
+    """among the effects of the catalogue, one more being there"""
+    confusable_with: tuple[str, ...]
+    parameters: dict[str, tuple[float, float]]
+    """key -> (value, standard error) [SI]"""
+    chi2_drop: float
+    chi2_drop_predicted: float
+    """by the score test at the null, without a refit"""
+    p_value: float
+    heldout_gain: float
+    """drop of chi-square on held-out pushes"""
+    change_mu_s: float = 0.0
+    """relative change (rms over the pushes) of the identified mu_s"""
+
+    def as_dict(self) -> dict[str, Any]:
+        """As `result.json` holds it."""
+        return {
+            "id": self.id,
+            "component": self.component,
+            "text": self.text,
+            "probability": self.probability,
+            "confusable_with": list(self.confusable_with),
+            "parameters": {
+                name: {"value": value, "standard_error": error}
+                for name, (value, error) in self.parameters.items()
+            },
+            "chi2_drop_predicted": self.chi2_drop_predicted,
+            "chi2_drop": self.chi2_drop,
+            "p_value": self.p_value,
+            "heldout_gain": self.heldout_gain,
+            "change_mu_s": self.change_mu_s,
+        }
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Errors on held-out pushes in units of the noise: 1 is perfect."""
+
+    before: float
+    after: float
+    noise_floor: float
+
+    def as_dict(self) -> dict[str, float]:
+        """As `result.json` holds it."""
+        return {
+            "heldout_nrmse_before": self.before,
+            "heldout_nrmse_after": self.after,
+            "noise_floor": self.noise_floor,
+        }
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What the simulation gets wrong, why, how sure, and what it bought."""
+
+    verdict: str
+    p_value: float | None
+    """of the lack of fit of the plain model"""
+    causes: tuple[Cause, ...]
+    negligible: tuple[Cause, ...]
+    location: str | None
+    gain: Gain
+    not_visible: tuple[str, ...]
+    impossible: dict[str, str]
+    """effects that these data cannot show, with the reason"""
+    plain: Fit
+    rig: Rig
+    """the plain rig refitted with its causes"""
+    setup: Setup
+    """the same as it is written to a file"""
+    mu_s: tuple[float, ...]
+    """of each push, by the extended model"""
+    next_experiment: dict[str, Any] | None = None
+    notes: tuple[str, ...] = ()
+    work: Any = field(default=None, repr=False)
+    """the search's own state, for figures"""
+
+    def as_dict(self) -> dict[str, Any]:
+        """As `result.json` holds it."""
+        return {
+            "verdict": self.verdict,
+            "lack_of_fit": {"p_value": self.p_value},
+            "causes": [cause.as_dict() for cause in self.causes],
+            "negligible": [cause.as_dict() for cause in self.negligible],
+            "location": self.location,
+            "gain": self.gain.as_dict(),
+            "not_visible": list(self.not_visible),
+            "impossible": dict(self.impossible),
+            "next_experiment": self.next_experiment,
+            "mu_s": list(self.mu_s),
+            "notes": list(self.notes),
+        }
+
+    def __str__(self) -> str:
+        lines = [f"[[Diagnosis]] {self.verdict}"]
+        if self.p_value is not None:
+            lines.append(f"    lack of fit of the plain model: p = {self.p_value:.2g}")
+        for cause in self.causes:
+            alike = ", ".join(cause.confusable_with)
+            lines.append(
+                f"    {cause.id} ({cause.component}): {cause.text}; probability "
+                f"{cause.probability:.2f}" + (f", confusable with {alike}" if alike else "")
+            )
+            for name, (value, error) in cause.parameters.items():
+                lines.append(f"        {name} = {value:.5g} +/- {error:.2g}")
+        lines += [f"    negligible: {cause.id}" for cause in self.negligible]
+        g = self.gain
+        lines.append(
+            f"    error on held-out pushes, in units of the noise: {g.before:.3g} before, "
+            f"{g.after:.3g} after ({g.noise_floor:.3g} is perfect)"
+        )
+        if self.location:
+            lines.append(f"    the misfit sits in: {self.location}")
+        if self.not_visible:
+            lines.append(f"    not visible with these data: {', '.join(self.not_visible)}")
+        return "\n".join([*lines, *(f"    note: {note}" for note in self.notes)])
