@@ -22,7 +22,7 @@ from difffric.calibration import fit
 from difffric.candidates import component_of, numbers_of
 from difffric.cause_search import Candidate, Score
 from difffric.data_checks import checked_data
-from difffric.diagnosis_data import DiagnosisData, diagnosis_data, plain_fits
+from difffric.diagnosis_data import diagnosis_data, plain_fits
 from difffric.effects import CATALOGUE, RATIO
 from difffric.ensemble import Fits
 from difffric.errors import InputError

@@ -79,9 +79,7 @@ def diagnosis_data(
         open_spread=open_,
         counts=counts,
     )
-    looked_for = tuple(
-        e for e in (*CATALOGUE, RATIO) if e not in left_out and e not in impossible
-    )
+    looked_for = tuple(e for e in (*CATALOGUE, RATIO) if e not in left_out and e not in impossible)
     if "mu_k_over_mu_s" in free:
         looked_for = tuple(e for e in looked_for if e != RATIO)
     return DiagnosisData(task, _scales(rig, measured, strokes, mass), measured, looked_for,

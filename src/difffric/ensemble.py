@@ -182,7 +182,7 @@ def _parts(task: Task, fits: Fits, on=None):
     G = np.einsum("mnkij,mk->mnij", fits.gram, 1.0 / fits.spread**2)
     if on is not None:
         G = G * on[:, :, None, None]
-    m, n, size = G.shape[:3]
+    n, size = G.shape[1:3]
     D, C = size - 1, task.conditions
     P = C + D - 1
     S = np.zeros((n, D, P))

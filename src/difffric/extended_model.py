@@ -60,7 +60,7 @@ class Coordinates:
         return cls(
             (*PLAIN, *extra),
             (0.0,) * len(PLAIN) + tuple(null),
-            (1.0, 1.0, K_V, 1.0, 1.0) + tuple(s if s > 0 else 1.0 for s in size),
+            (1.0, 1.0, K_V, 1.0, 1.0, *(s if s > 0 else 1.0 for s in size)),
         )
 
     def index(self, name: str) -> int:
@@ -210,11 +210,12 @@ def _recordings(coordinates, rig, pushes: Pushes, c, directions) -> Answer:
 def _table(coordinates, rig, pushes: Pushes, c, directions) -> Answer:
     """The same for a table's F_p and d."""
     measured, weight = pushes.data
+    integrator: Any = RungeKutta(TOLERANCE)
 
     def numbers(c):
         def one(push, c):
             at = own_rig(coordinates, rig, push, c)
-            seen = observe(at, push.velocity, RungeKutta(TOLERANCE))
+            seen = observe(at, push.velocity, integrator)
             return jnp.stack([seen.peak_force, seen.sliding_distance])
 
         return jax.vmap(one)(pushes._replace(data=None), c)
@@ -303,9 +304,7 @@ class ExtendedModel:
             fill = np.minimum(np.arange(BATCH), size - 1)
             return jax.tree.map(
                 lambda a: np.asarray(a)[:size],
-                self._compiled(
-                    *self._fixed, index[part][fill], c[part][fill], padded[part][fill]
-                ),
+                self._compiled(*self._fixed, index[part][fill], c[part][fill], padded[part][fill]),
             )
 
         with ThreadPoolExecutor(2) as pool:

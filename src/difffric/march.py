@@ -23,12 +23,10 @@ from difffric.motion import (
     BREAK,
     CLOSING,
     CORNER,
-    EDGE,
     FREE,
     GRIP,
     HALT,
     REBOUNDING,
-    STOP,
     STUCK,
     SUMMIT,
     TURN,
@@ -36,25 +34,15 @@ from difffric.motion import (
     Motion,
     Point,
 )
+from difffric.passing import NO_EVENT, STEADY, Rules
 from difffric.rk_steps import looped_step, rk_step
 from difffric.sensing import nothing, sense
 from difffric.stride import Stride
-from difffric.units import GRAVITY
 
-MAX_CONTACTS = 16
 MAX_STEPS = 20_000
-MAX_REBOUNDS = 60
-"""Rebounds that a pusher without a stroke is followed for without a loss of contact."""
-
-MAX_HALTS = 1000
-"""Halts on bristles, after which a part that hardly swings any more counts as at rest."""
-
-_NO_EVENT = -1
 _FINEST = 1e-5  # of the push's own time
-_SETTLED = 1e-6  # of the bristles' slip force
 _CLOSE = 1e-4  # of a free step: an event this near to the end is reached by the Taylor step
 _SHARES = (0.25, 0.5, 0.75)  # of a step: where its inside is looked at for a dip
-_STEADY = 1e-9
 
 
 def _select(condition, new, old):
@@ -79,12 +67,17 @@ class Marcher(NamedTuple):
         return not self.blind and (sensor.filtered or sensor.sampled or probe.late)
 
     @property
+    def rules(self) -> Rules:
+        """What the push's events change."""
+        return Rules(self.motion, self.z_0)
+
+    @property
     def u_0(self):
-        return jnp.sqrt(self.z_0 * GRAVITY)
+        return self.rules.u_0
 
     @property
     def time(self):
-        return jnp.sqrt(self.z_0 / GRAVITY)
+        return self.rules.time
 
     def start(self) -> March:
         """At rest, the pusher starting."""
@@ -100,9 +93,9 @@ class Marcher(NamedTuple):
         # At rest on its bristles, which hold it against the slope.
         q = None if bristles is None else -rig.slope / bristles.stiffness + zero
         s = Point(zero, -gap, zero, zero, q)
-        at_once = self._breaks(course, s)
+        at_once = self.rules.breaks(course, s)
         course = course._replace(mode=jnp.where(at_once, CLOSING, STUCK), moved=at_once)
-        none, nowhere = jnp.asarray(0), jnp.asarray(_NO_EVENT)
+        none, nowhere = jnp.asarray(0), jnp.asarray(NO_EVENT)
         m = March(
             s=s, course=course, h=0.3 * stop_gradient(self.time) + zero, target=nowhere,
             h_target=zero, contacts=jnp.where(gap <= 0, 1, 0), sticks=(~at_once).astype(int),
@@ -111,37 +104,7 @@ class Marcher(NamedTuple):
             strides=none, lost_track=no, stuck_first=~at_once,
             sensed=nothing(self.motion) if self.senses else None,
         )  # fmt: skip
-        return m._replace(over=self._rests(m))
-
-    def _breaks(self, course, s):
-        """Whether a part at rest in contact starts to slide at once."""
-        if self.motion.bristles is not None:
-            return course.touching
-        held = course._replace(mode=jnp.asarray(STUCK))
-        force = self.motion.force(held, s)
-        return course.touching & (force >= self.motion.breakaway(held, s))
-
-    def _rests(self, m: March):
-        """Whether the part is at rest for good: what travel the tip has left does not move it."""
-        c, s = m.course, m.s
-        V, dy = self.motion.tip(c, s)
-        left = jnp.where(c.stopped, self.motion.rig.pusher.lag() * V, jnp.inf)
-        z = s.z + left
-        force = self.motion.approach(jnp.where(jnp.isfinite(z), z, s.z), dy)
-        weak = force < self.motion.breakaway(c, s)
-        return (c.mode == STUCK) & c.stopped & ((z < 0) | weak)
-
-    def _settles(self, m: March, halt, a):
-        """Whether bristles hold the part for good, but for a motion too small to matter."""
-        c, s, rig = m.course, m.s, self.motion.rig
-        V, _ = self.motion.tip(c, s)
-        slip = rig.friction.law.sliding(jnp.zeros_like(s.u), self.motion.load(c, s))
-        calm = jnp.abs(a) * rig.mass < _SETTLED * slip
-        slow = jnp.abs(s.u) < _STEADY * self.u_0
-        spent = m.halts >= MAX_HALTS
-        away = jnp.where(c.touching, True, s.z + rig.pusher.lag() * V + jnp.abs(s.q) < 0)
-        still = V <= _STEADY * self.motion.v
-        return c.stopped & still & away & ((calm & (halt | slow)) | (spent & halt))
+        return m._replace(over=self.rules.rests(m))
 
     def step(self, m: March, record: bool = False) -> tuple[March, Stride | None]:
         """One turn of the loop; also the step as a stride where one is asked for or needed."""
@@ -174,7 +137,7 @@ class Marcher(NamedTuple):
             touched & motion.rig.contact.rough, jnp.maximum(graded, _FINEST * self.time), jnp.inf
         )
         h = jnp.where(aims, m.h_target, jnp.minimum(wait, graded))
-        aim = jnp.where(aims, m.target, jnp.where(stuck & c.touching, BREAK, _NO_EVENT))
+        aim = jnp.where(aims, m.target, jnp.where(stuck & c.touching, BREAK, NO_EVENT))
         if not pusher.constant:
             corner = pusher.ramp_time(motion.v) - s.t
             meets = ~c.risen & (corner <= h)
@@ -213,14 +176,14 @@ class Marcher(NamedTuple):
             d_1[event], c_1[event] = jnp.where(on, q_1, 0.0), 0.0
 
         # Steady sliding before the tip has no events but the stop.
-        quiet = jnp.abs(g_0[TURN]) + jnp.abs(d_0[TURN]) * self.time < _STEADY * self.u_0
+        quiet = jnp.abs(g_0[TURN]) + jnp.abs(d_0[TURN]) * self.time < STEADY * self.u_0
         steady = ((c.mode == CLOSING) | (c.mode == REBOUNDING)) & quiet & ~c.stopped
         deaf = {TURN, HALT, GRIP, SUMMIT, BOTTOM}
 
         # The first guard that falls through zero within the step; `near` (a share of it) is so
         # near an end that the Taylor step does the rest.
         near = _CLOSE * jnp.maximum(m.h, h) / h
-        first, event = jnp.full_like(h, 2.0), jnp.full_like(m.target, _NO_EVENT)
+        first, event = jnp.full_like(h, 2.0), jnp.full_like(m.target, NO_EVENT)
         miss_aim = jnp.full_like(h, jnp.inf)
         jet = zero, zero + 1.0, zero
         curve = (zero + 1.0, zero, zero, zero, zero)
@@ -274,7 +237,7 @@ class Marcher(NamedTuple):
 
         grow = jnp.clip(0.9 * jnp.maximum(err, 1e-9) ** (-1.0 / 8.0), 0.2, 4.0)
         kept = jnp.maximum(m.h, jnp.where(at_once, 0.0, h))
-        done = self._pass(m, jnp.where(arrived, event, _NO_EVENT), at, f_1.u)
+        done = self.rules.passed(m, jnp.where(arrived, event, NO_EVENT), at, f_1.u)
         done = done._replace(
             h=jnp.where(arrived | at_once | aims, kept, h * grow),
             peak=jnp.where(higher, force, m.peak),
@@ -287,7 +250,7 @@ class Marcher(NamedTuple):
             release = c.touching & ~done.course.touching
             done = done._replace(sensed=sense(motion, m.sensed, stride, release))
         again = m._replace(
-            target=jnp.where(cut, event, _NO_EVENT),
+            target=jnp.where(cut, event, NO_EVENT),
             h_target=x * h,
             h=jnp.where(good, m.h, h * jnp.clip(0.9 * err**-0.25, 0.1, 0.7)),
         )
@@ -309,98 +272,6 @@ class Marcher(NamedTuple):
         df_0 = jax.jvp(lambda p: motion.rates(c, p), (m.s,), (rate,))[1]
         h = jnp.maximum(h, 1e-12 * stop_gradient(self.time))
         return Stride.of(motion, c, (m.s, rate, df_0), (y, f_1, df_1), h, 1 + dt / h)
-
-    def _pass(self, m: March, event, s: Point, a) -> March:
-        """What an event changes at the state s, where the part's acceleration is a [m/s^2];
-        nothing for no event."""
-        motion, c = self.motion, m.course
-        pusher = motion.rig.pusher
-
-        def on(code):
-            return event == code
-
-        V, dy = motion.tip(c, s)
-        mode = c.mode
-        turn, halt, grip, stop = on(TURN), on(HALT), on(GRIP), on(STOP)
-        s = s._replace(u=jnp.where(turn, dy, jnp.where(halt | (mode == STUCK), 0.0, s.u)))
-        pulls = motion.rig.contact.damped & (dy < s.u)
-        s = s._replace(z=jnp.where(grip & ~pulls, 0.0, s.z))
-        release = grip & (mode == REBOUNDING)
-        catch = grip & (mode == FREE)
-        touch = grip & (mode == STUCK)
-        stands = release & pusher.stops_at_release() & ~c.stopped
-        stops = stop | stands
-        lost_moving = jnp.where(release, ~c.stopped, m.lost_moving)
-        c = c._replace(
-            stopped=c.stopped | stops,
-            t_stop=jnp.where(stops, s.t, c.t_stop),
-            V_stop=jnp.where(stops, V, c.V_stop),
-            touching=(c.touching & ~release) | catch | touch,
-            beyond=c.beyond | on(EDGE),
-            risen=c.risen | on(CORNER),
-        )
-        _, dy = motion.tip(c, s)
-        back = turn & (mode == REBOUNDING)
-        ends = back & c.stopped & (dy <= 0)
-        new = mode
-        new = jnp.where(turn & (mode == CLOSING), REBOUNDING, new)
-        new = jnp.where(back, jnp.where(ends, STUCK, CLOSING), new)
-        if motion.bristles is None:
-            new = jnp.where(halt, STUCK, new)
-        else:
-            # Before a standing tip the part turns where it halts.
-            both = (turn | halt) & (dy <= 0)
-            ahead = a > 0
-            c = c._replace(way=jnp.where(halt | both, jnp.where(ahead, 1.0, -1.0), c.way))
-            turned = jnp.where(ahead, REBOUNDING, CLOSING)
-            new = jnp.where(both & c.touching, turned, new)
-        new = jnp.where(release, FREE, new)
-        new = jnp.where(catch, jnp.where(dy - s.u >= 0, CLOSING, REBOUNDING), new)
-        new = jnp.where(stop & (mode == CLOSING) & (dy <= s.u), REBOUNDING, new)
-        new = jnp.where(on(BREAK), CLOSING, new)
-        # A rebound that would pull is over before it begins.
-        gone = (new == REBOUNDING) & (s.z < motion.rig.contact.edge(dy - s.u))
-        new = jnp.where(gone, FREE, new)
-        release = release | gone
-        lost_moving = jnp.where(gone, ~c.stopped, lost_moving)
-        c = c._replace(mode=new, touching=c.touching & ~gone)
-        held = (new == STUCK) & self._breaks(c, s)
-        c = c._replace(mode=jnp.where(held, CLOSING, new), moved=c.moved | on(BREAK) | held)
-        changed = c.mode != mode
-        # Energy only falls where nothing feeds it: what the first rebound did not part, no later
-        # one will.
-        rebounds = m.rebounds + back
-        fed = not pusher.constant or motion.rig.friction.uneven
-        patience = MAX_REBOUNDS if fed else 1
-        never = back & pusher.stops_at_release() & ~m.lost & (rebounds >= patience)
-        contacts = m.contacts + catch + touch
-        m = m._replace(
-            s=s,
-            course=c,
-            target=jnp.asarray(_NO_EVENT),
-            contacts=contacts,
-            sticks=m.sticks + (halt & (dy > 0)),
-            halts=m.halts + halt,
-            lost=m.lost | release,
-            lost_moving=lost_moving,
-            x_lost=jnp.where(release, motion.position(s), m.x_lost),
-            summited=(m.summited & ~changed) | on(SUMMIT),
-            slowed=(m.slowed & ~changed) | on(BOTTOM),
-            rebounds=rebounds,
-            endless=m.endless | never,
-            over=m.over | never | (contacts > MAX_CONTACTS),
-        )
-        # Behind a standing tip an overdamped rebound comes to rest only asymptotically.
-        creeps = (
-            (c.mode == REBOUNDING)
-            & (dy == 0)
-            & (s.u < _STEADY * self.u_0)
-            & (jnp.abs(a) * self.time < _STEADY * self.u_0)
-        )
-        if motion.bristles is not None:
-            return m._replace(over=m.over | self._settles(m, halt, a))
-        m = m._replace(course=c._replace(mode=jnp.where(creeps, STUCK, c.mode)))
-        return m._replace(over=m.over | self._rests(m))
 
     def last(self) -> March:
         """Follow the push to its end."""

@@ -15,8 +15,8 @@ from jax import Array
 from difffric.closed_form import ClosedForm
 from difffric.errors import require_float64
 from difffric.legs import CATCH, HALT, NONE, RELEASE, STOP, TURN, Leg
-from difffric.march import MAX_CONTACTS
 from difffric.motion import CLOSING, FREE, REBOUNDING, STUCK
+from difffric.passing import MAX_CONTACTS
 from difffric.rig import Rig
 from difffric.runge_kutta import RungeKutta
 
