@@ -25,7 +25,6 @@ from difffric.native import in_one_piece
 from difffric.observables import observe
 from difffric.push import Integrator
 from difffric.rig import Rig
-from difffric.runge_kutta import RungeKutta
 
 _TILE = 128
 """Pushes at a time: their some hundred intermediate arrays fill the first-level cache."""
@@ -188,29 +187,17 @@ def _program(structure, varying, names, tiles) -> _Program:
         empty = [jnp.zeros((tiles, _TILE), shape.dtype) for shape in shapes]
         return jax.lax.fori_loop(0, (length + _TILE - 1) // _TILE, step, empty)
 
-    whole = in_one_piece(all_tiles) if _known(rig, integrator) else all_tiles
+    whole = in_one_piece(all_tiles) if _in_one_piece(rig, integrator) else all_tiles
     example = 0, np.empty(len(fixed)), np.empty((1 + len(varying), tiles, _TILE))
     compiled = jax.jit(whole, compiler_options=_known_options()).lower(*example).compile()
     return _Program(compiled, tuple(np.dtype(s.dtype) for s in shapes), tiles * _TILE)
 
 
-def _known(rig, integrator) -> bool:
-    """Whether the program may be compiled in one piece: this library's own laws alone, as a user's
-    may need what such a program must not have; and one effect at most, on a tip of constant speed
-    and sensors that do not look back, as compiling larger ones takes all of the memory."""
-    laws = [rig.friction, rig.contact, rig.pusher, rig.force_sensor, rig.probe]
-    effects = 0
-    for law in laws:
-        if hasattr(law, "law"):
-            laws.append(law.law)
-            effects += 1
-    own = all(type(law).__module__.startswith("difffric.") for law in laws)
-    looks_back = rig.force_sensor.filtered or rig.force_sensor.sampled or rig.probe.late
-    small = effects <= 1 and rig.pusher.constant and not looks_back
-    closed = rig.affine and (integrator is None or isinstance(integrator, ClosedForm))
-    return own and (
-        closed or (small and (integrator is None or isinstance(integrator, RungeKutta)))
-    )
+def _in_one_piece(rig, integrator) -> bool:
+    """Whether the whole program may be compiled in one piece: a closed form of this library's own
+    laws alone, as a user's may need what such a program must not have."""
+    closed = integrator is None or isinstance(integrator, ClosedForm)
+    return rig.affine and closed and rig.only_own_laws
 
 
 @cache

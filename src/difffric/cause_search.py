@@ -147,7 +147,7 @@ def explore(
     tell: Callable[[float], None] = lambda share: None,
 ) -> list[Candidate]:
     """The leading effects, each refitted on top of `base`, the best first."""
-    some = subset_of(task)
+    effects, some = list(effects), subset_of(task)
     starts = [starts_of(task, base, e, scales, scores.get(e)) for e in effects]
     owner = np.concatenate([np.full(s.m, k) for k, s in enumerate(starts)])
     fits = en.evaluated(task, en.together(*starts), some)
@@ -170,16 +170,16 @@ def explore(
     subset_cost = en.penalised(fits)
     leaders = list(np.argsort(subset_cost)[:_LEADERS])
     by_score = sorted(
-        range(fits.m), key=lambda j: -_drop(scores.get(effects[owner[j]])), reverse=False
+        range(fits.m), key=lambda j: -_drop(scores.get(effects[int(owner[j])])), reverse=False
     )
     leaders += [j for j in by_score[:_SCORED] if j not in leaders]
     fits, owner = fits.pick(leaders), owner[leaders]
     # From where the scan led, and from where the score test does.
     parts, behind = [replace(fits, gram=None, model=None, residual=None, damping=None)], [*owner]
     for k in owner:
-        score = scores.get(effects[k])
+        score = scores.get(effects[int(k)])
         if score is not None and score.drop > 4:
-            near = starts_of(task, base, effects[k], scales, score)
+            near = starts_of(task, base, effects[int(k)], scales, score)
             parts.append(near.pick([near.m - 1]))
             behind.append(k)
     fits = en.refitted(task, en.together(*parts), _ROUNDS)
@@ -188,7 +188,7 @@ def explore(
     value, before = en.criterion(task, fits), float(en.criterion(task, base)[0])
     out = []
     for j in range(fits.m):
-        effect = effects[owner[j]]
+        effect = effects[int(owner[j])]
         drop = before - float(value[j])
         k = len(numbers_of(effect))
         out.append(

@@ -134,10 +134,13 @@ class _Diagnosis:
         setup, given = self.setup, self.given
         plain, known = _stripped(setup.rig)
         self.known = known
-        checked = checked_data(
-            given, plain, use_data_mass=self.use_data_mass, skip_bad=self.skip_bad,
-            keep_saturated=True,
-        )  # fmt: skip
+        options = {
+            "use_data_mass": self.use_data_mass, "skip_bad": self.skip_bad, "keep_saturated": True,
+        }  # fmt: skip
+        if isinstance(given, Recordings):
+            checked: Pushes | Recordings = checked_data(given, plain, **options)
+        else:
+            checked = checked_data(given, plain, **options)
         own = replace(setup, rig=plain, extras=_plain_extras(setup))
         if isinstance(checked, Recordings):
             reduction = reduce_recordings(checked, skip_bad=self.skip_bad)
@@ -217,7 +220,8 @@ class _Diagnosis:
         numbers = task.counts.sum()
         spent = task.n * (task.mu_free + task.model.recordings)
         floor = float(np.sqrt(max(numbers - spent, 1) / numbers))
-        gain = Gain(*(float(np.sqrt(h.sum() / numbers)) for h in held), floor)
+        error = [float(np.sqrt(h.sum() / numbers)) for h in held]
+        gain = Gain(error[0], error[1], floor)
         location = None
         scale = total or max(before.excess, 1.0)
         misfit = after.p_value is not None and after.p_value < SIGNIFICANT

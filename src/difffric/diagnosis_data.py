@@ -89,7 +89,8 @@ def diagnosis_data(
 def _table(measured: Measured, noise):
     both = np.stack([measured.peak_force, measured.sliding_distance], axis=1)
     there = np.isfinite(both)
-    open_ = tuple(bool((there & np.isnan(noise))[:, k].any()) for k in (0, 1))
+    unknown = (there & np.isnan(noise)).any(axis=0)
+    open_ = bool(unknown[0]), bool(unknown[1])
     size = [np.abs(both[there[:, k], k]).max(initial=1e-9) for k in (0, 1)]
     sd = np.where(np.isnan(noise), 0.02 * np.array(size), noise)
     weight = np.where(there, 1.0 / sd, 0.0)

@@ -95,7 +95,7 @@ class Fits:
 def together(*parts: Fits) -> Fits:
     """Several ensembles of the same pushes as one; their answers, if all have them."""
 
-    def of(name):
+    def of(name) -> Any:
         columns = [getattr(p, name) for p in parts]
         if any(x is None for x in columns):
             return None
@@ -424,7 +424,7 @@ def held_out(task: Task, fits: Fits, folds: NDArray) -> NDArray:
             c[:, i] = at.c
             mu[:, i] = at.mu[:, task.condition[i]]
     own = fits.own
-    total = None
+    total = np.full((fits.m, task.n), np.inf)
     for _ in range(2):
         c[:, :, 0] = mu + own
         rows = np.zeros((1, c.shape[2]))
@@ -442,6 +442,6 @@ def held_out(task: Task, fits: Fits, folds: NDArray) -> NDArray:
         step = -(gz + s * own) / (zz + s)
         value = rr + 2 * step * gz + step**2 * zz
         value = np.where(np.isfinite(value), value, _REJECTED)
-        total = value if total is None else np.minimum(total, value)
+        total = np.minimum(total, value)
         own = own + np.where(np.isfinite(step), step, 0.0)
     return total

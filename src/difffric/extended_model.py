@@ -31,7 +31,7 @@ from difffric.runge_kutta import RungeKutta
 PLAIN = ("mu_s", "mu_k_over_mu_s", "k_v_N_s_per_m", "k_N_per_m", "b_N_s_per_m")
 """Coordinates of the plain model: logarithms, and k_v in units of `K_V`."""
 K_V = 10.0
-BATCH = 32
+BATCH = 16
 """Pairs that one call answers for."""
 STEPS = 320
 """Steps that a push may take."""

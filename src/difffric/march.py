@@ -34,6 +34,7 @@ from difffric.motion import (
     Motion,
     Point,
 )
+from difffric.native import in_one_piece
 from difffric.passing import NO_EVENT, STEADY, Rules
 from difffric.rk_steps import looped_step, rk_step
 from difffric.sensing import nothing, sense
@@ -275,7 +276,13 @@ class Marcher(NamedTuple):
 
     def last(self) -> March:
         """Follow the push to its end."""
-        return jax.lax.while_loop(self.goes_on, lambda m: self.step(m)[0], self.start())
+
+        def turn(m):
+            return self.step(m)[0]
+
+        # Run loop by loop, starting the loops would cost more than what is in them.
+        own = self.motion.rig.only_own_laws
+        return jax.lax.while_loop(self.goes_on, in_one_piece(turn) if own else turn, self.start())
 
     def goes_on(self, m: March):
         return ~m.over & (m.steps < MAX_STEPS)

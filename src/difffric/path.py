@@ -12,6 +12,7 @@ from jax import Array
 from difffric.march import Marcher
 from difffric.march_state import March
 from difffric.motion import Motion
+from difffric.native import in_one_piece
 from difffric.rig import Rig
 from difffric.sensing import Filtered, Passed
 from difffric.stride import Stride
@@ -107,7 +108,9 @@ def follow_together(marcher: Callable[[Rig, Array], Marcher], rigs: Rig, v, rows
         # A step that is taken again has the time of the next one, which is found in its place.
         return _select(on, new, m), stride._replace(t=jnp.where(on, stride.t, jnp.inf))
 
+    # Run loop by loop, starting the loops would cost more than what is in them.
     every = jax.vmap(step)
+    every = in_one_piece(every) if rigs.only_own_laws else every
     start = jax.vmap(lambda rig, v: marcher(rig, v).start())(rigs, v)
     blank = jax.eval_shape(lambda m: every(rigs, v, m)[1], start)
     table = jax.tree.map(lambda a: jnp.zeros((rows, *a.shape), a.dtype), blank)

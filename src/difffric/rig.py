@@ -49,6 +49,22 @@ class Rig(eqx.Module):
         sensors = self.force_sensor.filtered or self.force_sensor.sampled or self.probe.late
         return laws and not sensors
 
+    @property
+    def all_laws(self) -> list[Any]:
+        """Every law of it, those within others too."""
+        laws: list[Any] = [
+            self.friction, self.contact, self.pusher, self.force_sensor, self.probe,
+        ]  # fmt: skip
+        for law in laws:
+            if hasattr(law, "law"):
+                laws.append(law.law)
+        return laws
+
+    @property
+    def only_own_laws(self) -> bool:
+        """Whether all its laws are of this library, and none a user's."""
+        return all(type(law).__module__.startswith("difffric.") for law in self.all_laws)
+
     def approaching(self, z, w, u):
         """Equation (2) while the tip closes in on the part: x'' [m/s^2]."""
         return self.balance(self.contact.approach(z, w), u)
