@@ -22,6 +22,7 @@ _HOME = {
     "Trajectory": "trajectory",
     "UnilateralSpringDamper": "contact",
     "ViscousCoulomb": "friction",
+    "diagnose": "diagnosis",
     "extended": "effects",
     "family": "families",
     "fit": "calibration",
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
     from difffric.data_file import load as load
     from difffric.derivatives import regime_margin as regime_margin
     from difffric.derivatives import sensitivity as sensitivity
+    from difffric.diagnosis import diagnose as diagnose
     from difffric.effects import extended as extended
     from difffric.effects import universal as universal
     from difffric.errors import DifffricError as DifffricError

@@ -329,6 +329,42 @@ def identify(
 
 
 @app.command()
+def diagnose(
+    data: Data,
+    setup: SetupOption,
+    negligible: Annotated[
+        float, typer.Option(help="share of the systematic error below which a cause is left out")
+    ] = 0.1,
+    use_data_mass: DataMass = False,
+    skip_bad: SkipBad = False,
+    out: Out = None,
+    quiet: Quiet = False,
+) -> None:
+    """What the simulation gets wrong, the cause, the extended model and what it gains."""
+    _check_out(out)
+    from difffric import answer_diagnose as answers
+    from difffric.answer_fit import check_out
+    from difffric.data_file import load
+    from difffric.diagnosis import diagnose as look
+    from difffric.errors import InputError
+    from difffric.setup_file import read_setup
+
+    if not 0 <= negligible < 1:
+        raise InputError(f"--negligible: expected a share from 0 to 1, got {negligible:g}")
+    check_out(out, setup)
+    rig, loaded = read_setup(setup), load(data, skip_bad=skip_bad)
+    with _progress(quiet) as tell:
+        found = look(
+            rig, loaded, negligible=negligible, use_data_mass=use_data_mass, skip_bad=skip_bad,
+            tell=tell,
+        )  # fmt: skip
+        tell("drawing", 0.99)
+        report = answers.diagnose_report(found, pictures=out is not None)
+        files = None if out is None else {"setup.toml": answers.setup_file_of(found)}
+    _finish(report, found.as_dict(), out, files)
+
+
+@app.command()
 def paper(out: Out = None, quiet: Quiet = False) -> None:
     """The paper's Tables I-V and Figures II.3-II.6, beside the differentiable model's answers."""
     _check_out(out)

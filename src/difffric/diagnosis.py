@@ -28,7 +28,7 @@ from difffric.ensemble import Fits
 from difffric.errors import InputError
 from difffric.fit_data import sensor_errors
 from difffric.friction import innermost
-from difffric.lack_of_fit import LackOfFit, lack_of_fit
+from difffric.lack_of_fit import lack_of_fit
 from difffric.pushes import Pushes
 from difffric.recordings import Recordings
 from difffric.reduction import reduce_recordings
@@ -366,6 +366,3 @@ def _plain_extras(setup: Setup) -> dict[str, Extras]:
 def _folds(n: int) -> NDArray:
     """(n,) the fold of each push: one push each, or about twenty folds of every nth."""
     return np.arange(n) % max(min(n, 20), 1)
-
-
-__all__ = ["LackOfFit", "diagnose"]

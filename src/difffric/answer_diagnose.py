@@ -1,0 +1,92 @@
+"""`difffric diagnose`: the verdict as result.json holds it, the extended set-up, the report."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from difffric import figures_diagnose
+from difffric.report import Picture, Report, Section, Table, number
+from difffric.setup_file import write_setup
+from difffric.verdict import ADEQUATE, AMBIGUOUS, NAMED, Cause, Diagnosis
+
+_VERDICTS = {
+    ADEQUATE: "The plain model is adequate: no effect of the catalogue is needed.",
+    NAMED: "The cause is named.",
+    AMBIGUOUS: "There is a cause, but these data cannot tell it from others.",
+}
+_UNEXPLAINED = "The misfit is real, and no effect of the catalogue explains it."
+
+
+def setup_file_of(found: Diagnosis) -> bytes:
+    """The extended set-up as its file holds it."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "setup.toml"
+        write_setup(found.setup, path)
+        return path.read_bytes()
+
+
+def _row(cause: Cause) -> list[str]:
+    numbers = "; ".join(
+        f"{name} = {number(value)} ± {number(error, 2)}"
+        for name, (value, error) in cause.parameters.items()
+    )
+    return [
+        cause.id,
+        cause.component,
+        numbers,
+        number(cause.probability, 3),
+        ", ".join(cause.confusable_with) or "–",
+        number(cause.chi2_drop),
+        f"{100 * cause.change_mu_s:.2g} %",
+    ]
+
+
+_COLUMNS = (
+    "effect", "component", "size", "probability", "confusable with", "chi-square drop",
+    "changes mu_s by",
+)  # fmt: skip
+
+
+def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
+    """The diagnosis for a person."""
+    g = found.gain
+    summary = [_VERDICTS.get(found.verdict, _UNEXPLAINED)]
+    summary += [f"{cause.id}: {cause.text}." for cause in found.causes]
+    summary.append(
+        f"Error on held-out pushes, in units of the noise: {number(g.before, 3)} before, "
+        f"{number(g.after, 3)} after ({number(g.noise_floor, 3)} is perfect)."
+    )
+    if found.location:
+        summary.append(f"The misfit sits in: {found.location}.")
+    sections = []
+    if found.causes:
+        table = Table("Causes, in the order added", _COLUMNS, [_row(c) for c in found.causes])
+        sections.append(Section("Causes", tables=(table,)))
+    if found.negligible:
+        table = Table(
+            "Detected, too small to matter", _COLUMNS, [_row(c) for c in found.negligible]
+        )
+        sections.append(Section("Negligible", tables=(table,)))
+    if pictures:
+        drawn = [
+            Picture(
+                "misfit", "Where the plain model misses, push by push.",
+                figures_diagnose.misfit(found),
+            )
+        ]  # fmt: skip
+        if found.work[0].task.model.recordings:
+            drawn.append(
+                Picture(
+                    "residuals", "Residuals of the pushes that the plain model fits worst "
+                    "(red: plain, blue: with its causes).", figures_diagnose.residuals(found),
+                )
+            )  # fmt: skip
+        sections.append(Section("Where the misfit sits", pictures=tuple(drawn)))
+    unseen = [x for x in found.not_visible if x not in found.impossible]
+    reasons = [[name, why] for name, why in found.impossible.items()]
+    reasons += [[name, "too small a trace in these pushes at its typical size"] for name in unseen]
+    if reasons:
+        table = Table("Not to be seen in these data", ("effect", "why"), reasons)
+        sections.append(Section("What these data cannot say", found.notes, (table,)))
+    return Report("Diagnosis", tuple(summary), tuple(sections))

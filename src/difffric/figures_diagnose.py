@@ -1,0 +1,69 @@
+"""Figures of a diagnosis: where the misfit sits before and after, and what each effect explains."""
+
+from __future__ import annotations
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from difffric.figures import STYLE, new_figure
+from difffric.units import to_mm_min
+from difffric.verdict import Diagnosis
+
+_BEFORE, _AFTER = "#c0392b", "#2c6fbb"
+
+
+def misfit(found: Diagnosis) -> Figure:
+    """Chi-square per number of each push, force and position, before and after."""
+    data, _, _, before, after = found.work
+    counts = np.maximum(data.task.counts, 1)
+    v = to_mm_min(np.asarray(data.measured.velocity))
+    order = np.argsort(v, kind="stable")
+    x = np.arange(len(v))
+    with matplotlib.rc_context(STYLE):
+        figure, axes = new_figure(2, 9.6, 3.8, sharey=True)
+        names = ("force", "position" if data.task.model.recordings else "sliding distance")
+        for k, (ax, name) in enumerate(zip(axes, names, strict=True)):
+            for chi2, colour, label, shift in (
+                (before.chi2, _BEFORE, "plain model", -0.15),
+                (after.chi2, _AFTER, "with its causes", 0.15),
+            ):
+                if label != "plain model" and not found.causes:
+                    continue
+                ax.plot(
+                    x + shift, (chi2[:, k] / counts[:, k])[order], "o", ms=4, color=colour,
+                    label=label,
+                )  # fmt: skip
+            ax.axhline(1.0, color="0.5", lw=1, ls=":")
+            ax.set(yscale="log", title=name, xlabel="push, by speed [mm/min]")
+            ax.set_xticks(x[:: max(1, len(x) // 7)])
+            ax.set_xticklabels([f"{s:.0f}" for s in v[order][:: max(1, len(x) // 7)]])
+        axes[0].set_ylabel("squared residual per number,\nin units of the noise (1 is perfect)")
+        axes[0].legend(frameon=False, fontsize=9)
+    return figure
+
+
+def residuals(found: Diagnosis, shown: int = 3) -> Figure:
+    """Whitened residuals over time of the pushes that fit worst, before and after."""
+    data, plain, extended, before, _ = found.work
+    task = data.task
+    worst = np.argsort(-before.chi2.sum(axis=1) / task.counts.sum(axis=1))[:shown]
+    with matplotlib.rc_context(STYLE):
+        figure, axes = new_figure(len(worst), 3.4 * len(worst), 4.6, rows=2, squeeze=False)
+        for column, i in enumerate(worst):
+            for k, blocks in enumerate(task.model.pushes.data):
+                ax, there = axes[k, column], blocks.a[i] > 0
+                t = 0.5e3 * (blocks.t[i][blocks.first[i]] + blocks.t[i][blocks.second[i]])[there]
+                for fits, colour, width in ((plain, _BEFORE, 0.9), (extended, _AFTER, 0.9)):
+                    if fits is extended and not found.causes:
+                        continue
+                    ax.plot(t, fits.residual[0, i, k][there], color=colour, lw=width, alpha=0.8)
+                ax.axhline(0.0, color="0.5", lw=0.8)
+                ax.set_xlim(t[0], t[-1])
+                if k == 0:
+                    ax.set_title(f"{to_mm_min(float(data.measured.velocity[i])):.0f} mm/min")
+                else:
+                    ax.set_xlabel("time [ms]")
+        axes[0, 0].set_ylabel("force residual\n[standard deviations]")
+        axes[1, 0].set_ylabel("position residual\n[standard deviations]")
+    return figure
