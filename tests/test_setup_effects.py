@@ -429,3 +429,15 @@ def test_fit_frees_what_the_file_frees_and_the_answer_can_be_written(file, monke
     assert same(written.rig, effects.extended(PLAIN_2MM, {"stribeck": {"v_s_m_per_s": 0.03}}))
     error = found.standard_error(layout.labels[at])
     assert written.extras["stribeck.v_s_m_per_s"] == Extras(error, True, None, 0.1)
+
+
+@pytest.mark.parametrize("component", ["force_sensor", "probe"])
+def test_an_effect_keeps_its_sensor_s_numbers(component):
+    """The same hardware stands behind an effect of its reading."""
+    plain = spring_damper_rig(mass=18.9, mu_s=0.141, k=8e5, b=1500.0)
+    real = effects.universal(plain)
+    for name in ("sensitivity", "range", "rate", "noise", "resolution"):
+        if hasattr(getattr(plain, component), name):
+            assert getattr(getattr(real, component), name) == getattr(
+                getattr(plain, component), name
+            )

@@ -56,6 +56,22 @@ class ForceEffect(eqx.Module):
     law: Any
 
     @property
+    def sensitivity(self):
+        return self.law.sensitivity
+
+    @property
+    def range(self):
+        return self.law.range
+
+    @property
+    def rate(self):
+        return self.law.rate
+
+    @property
+    def noise(self):
+        return self.law.noise
+
+    @property
     def filtered(self) -> bool:
         return self.law.filtered
 
@@ -178,6 +194,14 @@ class ProbeEffect(eqx.Module):
     """A probe around another one, `law`; what an effect does not override is that one's own."""
 
     law: Any
+
+    @property
+    def resolution(self):
+        return self.law.resolution
+
+    @property
+    def noise(self):
+        return self.law.noise
 
     @property
     def late(self) -> bool:
