@@ -38,17 +38,7 @@ def anchors(path):
     return {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in headings}
 
 
-SLOW = {"docs/own_law.md"}  # a law of its own is compiled anew in every program: a minute
-
-
-def with_code():
-    for path in PAGES:
-        if any(blocks(path)):
-            marks = [pytest.mark.slow] if name(path) in SLOW else []
-            yield pytest.param(path, marks=marks, id=name(path))
-
-
-@pytest.mark.parametrize("path", with_code())
+@pytest.mark.parametrize("path", [page for page in PAGES if any(blocks(page))], ids=name)
 def test_python_blocks_run(path, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     namespace = {"__name__": "page"}
