@@ -244,7 +244,7 @@ class _Diagnosis:
             negligible=tuple(self._cause(plain, c, (), scores) for c in small),
             location=location,
             gain=gain,
-            not_visible=self._not_visible(scores),
+            not_visible=self._not_visible(scores, {c.effect for c, _ in named}),
             impossible=self.data.impossible,
             plain=self.fit,
             rig=rig,
@@ -301,8 +301,8 @@ class _Diagnosis:
             change_mu_s=float(np.sqrt(np.mean(changed**2))),
         )
 
-    def _not_visible(self, scores: dict[str, Score]) -> tuple[str, ...]:
-        unseen = [e for e, s in scores.items() if s.visible < _VISIBLE]
+    def _not_visible(self, scores: dict[str, Score], seen: set[str]) -> tuple[str, ...]:
+        unseen = [e for e, s in scores.items() if s.visible < _VISIBLE and e not in seen]
         return (*self.data.impossible, *unseen)
 
     def _location(self, plain: Fits) -> str | None:
