@@ -93,7 +93,7 @@ def _values(effect: str, s: Scales):
         case "contact_hardening":
             return [1.08, 1.25, 1.5, 1.9]
         case "initial_gap":
-            return np.geomspace(2e-6, min(5e-4, 0.3 * s.travel), 5)
+            return np.geomspace(2e-6, 0.6 * s.travel, 7)
         case "pusher_speed":
             return [0.9, 0.97, 1.03, 1.1]
         case "pusher_ramp":

@@ -147,7 +147,9 @@ def explore(
     tell: Callable[[float], None] = lambda share: None,
 ) -> list[Candidate]:
     """The leading effects, each refitted on top of `base`, the best first."""
-    effects, some = list(effects), subset_of(task)
+    # A table's pushes are followed in less time: all of them, by more effects.
+    quick = not task.model.recordings
+    effects, some = list(effects), np.arange(task.n) if quick else subset_of(task)
     starts = [starts_of(task, base, e, scales, scores.get(e)) for e in effects]
     owner = np.concatenate([np.full(s.m, k) for k, s in enumerate(starts)])
     fits = en.evaluated(task, en.together(*starts), some)
@@ -159,7 +161,7 @@ def explore(
     keep = []
     for k in range(len(effects)):
         mine = np.flatnonzero(owner == k)
-        keep.append(int(mine[np.argmin(promised[mine])]))
+        keep += mine[np.argsort(promised[mine])[: 2 if quick else 1]].tolist()
         keep.append(int(mine[np.argmin(found.cost[mine])]))
     keep = np.array(sorted(set(keep)))
     fits, owner = en.refitted(task, fits.pick(keep), 3, some), owner[keep]
@@ -168,7 +170,7 @@ def explore(
     fits = en.refitted(task, fits, 4, some)
     tell(0.65)
     subset_cost = en.penalised(fits)
-    leaders = list(np.argsort(subset_cost)[:_LEADERS])
+    leaders = list(np.argsort(subset_cost)[: 2 * _LEADERS if quick else _LEADERS])
     by_score = sorted(
         range(fits.m), key=lambda j: -_drop(scores.get(effects[int(owner[j])])), reverse=False
     )
@@ -181,6 +183,10 @@ def explore(
         if score is not None and score.drop > 4:
             near = starts_of(task, base, effects[int(k)], scales, score)
             parts.append(near.pick([near.m - 1]))
+            behind.append(k)
+        if effects[int(k)] in LOCAL:  # no fit is to end above the one that it extends
+            null = starts_of(task, base, effects[int(k)], scales, None)
+            parts.append(null.pick([null.m - 1]))
             behind.append(k)
     fits = en.refitted(task, en.together(*parts), _ROUNDS)
     tell(0.95)

@@ -228,8 +228,7 @@ def solve(H: NDArray, g: NDArray, damping=0.0) -> NDArray:
 def criterion(task: Task, fits: Fits) -> NDArray:
     """(m,) -2 times the log likelihood where the fits stand, their own mu_s averaged over: sum of
     squares, and what the scatter and the spreads that were estimated cost."""
-    found = normal(task, fits)
-    return found.cost + _volume(task, fits, found.z)
+    return penalised(fits) + _volume(task, fits, normal(task, fits).z)
 
 
 def _volume(task: Task, fits: Fits, z) -> NDArray:
