@@ -185,6 +185,9 @@ def _recordings(coordinates, rig, pushes: Pushes, c, directions) -> Answer:
         v = jax.vmap(lambda rig, v: rig.pusher.speed(v))(rigs, pushes.velocity)
         paths = follow_together(partial(integrator.marcher, blind=True), rigs, v, STEPS)
         f, x = jax.vmap(lambda path, *t: path.read(*t))(paths, force.t, position.t)
+        # What could not be followed to its end is no number, and no fit goes there.
+        known = jnp.where(paths.end.lost_track | ~paths.end.over, jnp.nan, 1.0)[:, None]
+        f, x = known * f, known * x
         seen = jax.vmap(lambda rig, v, m: marched(integrator.marcher(rig, v, True), m))
         seen = seen(rigs, v, paths.end)
         model = jnp.stack([seen.peak_force, seen.sliding_distance], axis=1)

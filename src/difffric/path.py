@@ -94,7 +94,7 @@ def follow(marcher: Marcher, rows: int) -> tuple[March, Path]:
 
 def follow_together(marcher: Callable[[Rig, Array], Marcher], rigs: Rig, v, rows: int) -> Path:
     """The paths of many pushes, followed in one loop that ends with the last of them, for so many
-    steps at most; `end.lost_track` says where that was too few.
+    steps at most; `end.lost_track` says where that was too few, or a law gave no number.
 
     `marcher(rig, v)` is mapped over rigs and speeds [m/s] with a leading axis. `vmap` of `follow`
     would do the same, and copy the whole table of strides at each step.
@@ -105,8 +105,12 @@ def follow_together(marcher: Callable[[Rig, Array], Marcher], rigs: Rig, v, rows
         on = here.goes_on(m)
         new, stride = here.step(m, record=True)
         assert stride is not None
-        # A step that is taken again has the time of the next one, which is found in its place.
-        return _select(on, new, m), stride._replace(t=jnp.where(on, stride.t, jnp.inf))
+        # A step that is taken again has the time of the next one, which is found in its place;
+        # filters pass over it.
+        taken = on & (new.strides > m.strides)
+        return _select(on, new, m), stride._replace(
+            t=jnp.where(on, stride.t, jnp.inf), end=jnp.where(taken, stride.end, 0.0)
+        )
 
     # Run loop by loop, starting the loops would cost more than what is in them.
     every = jax.vmap(step)
