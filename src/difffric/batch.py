@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from difffric import parameters
 from difffric.closed_form import ClosedForm
+from difffric.compiling import known_options
 from difffric.derivatives import VELOCITY
 from difffric.errors import InputError, require_float64
 from difffric.native import in_one_piece
@@ -189,7 +190,7 @@ def _program(structure, varying, names, tiles) -> _Program:
 
     whole = in_one_piece(all_tiles) if _in_one_piece(rig, integrator) else all_tiles
     example = 0, np.empty(len(fixed)), np.empty((1 + len(varying), tiles, _TILE))
-    compiled = jax.jit(whole, compiler_options=_known_options()).lower(*example).compile()
+    compiled = jax.jit(whole, compiler_options=known_options(_OPTIONS)).lower(*example).compile()
     return _Program(compiled, tuple(np.dtype(s.dtype) for s in shapes), tiles * _TILE)
 
 
@@ -198,16 +199,6 @@ def _in_one_piece(rig, integrator) -> bool:
     laws alone, as a user's may need what such a program must not have."""
     closed = integrator is None or isinstance(integrator, ClosedForm)
     return rig.affine and closed and rig.only_own_laws
-
-
-@cache
-def _known_options() -> dict[str, Any] | None:
-    # Asked at the first use: at import there may be no device yet.
-    try:
-        jax.jit(lambda x: x, compiler_options=_OPTIONS).lower(0.0).compile()
-    except jax.errors.JaxRuntimeError:  # it knows no such option
-        return None
-    return _OPTIONS
 
 
 @cache

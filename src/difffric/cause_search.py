@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from difffric import ensemble as en
+from difffric import refits
 from difffric.candidates import LOCAL, Scales, grid, numbers_of
 from difffric.effects import KEYS
 from difffric.ensemble import Fits, Task
@@ -21,8 +22,6 @@ _LEADERS, _SCORED = 5, 4
 _TRIALS = 10
 """How many independent looks a scan over a wavelength, a place or a speed is worth."""
 _ROUNDS = 15
-
-
 _BESIDE = 1e-3
 _INVERSE = {name for name, (_, key) in KEYS.items() if key.inverse}
 
@@ -164,16 +163,14 @@ def explore(
         keep += mine[np.argsort(promised[mine])[: 2 if quick else 1]].tolist()
         keep.append(int(mine[np.argmin(found.cost[mine])]))
     keep = np.array(sorted(set(keep)))
-    fits, owner = en.refitted(task, fits.pick(keep), 3, some), owner[keep]
+    fits, owner = refits.refitted(task, fits.pick(keep), 3, some), owner[keep]
     tell(0.5)
     fits, owner = _best_of_each(task, fits, owner)
-    fits = en.refitted(task, fits, 4, some)
+    fits = refits.refitted(task, fits, 4, some)
     tell(0.65)
     subset_cost = en.penalised(fits)
     leaders = list(np.argsort(subset_cost)[: 2 * _LEADERS if quick else _LEADERS])
-    by_score = sorted(
-        range(fits.m), key=lambda j: -_drop(scores.get(effects[int(owner[j])])), reverse=False
-    )
+    by_score = sorted(range(fits.m), key=lambda j: -_drop(scores.get(effects[int(owner[j])])))
     leaders += [j for j in by_score[:_SCORED] if j not in leaders]
     fits, owner = fits.pick(leaders), owner[leaders]
     # From where the scan led, and from where the score test does.
@@ -188,7 +185,7 @@ def explore(
             null = starts_of(task, base, effects[int(k)], scales, None)
             parts.append(null.pick([null.m - 1]))
             behind.append(k)
-    fits = en.refitted(task, en.together(*parts), _ROUNDS)
+    fits = refits.refitted(task, en.together(*parts), _ROUNDS)
     tell(0.95)
     fits, owner = _best_of_each(task, fits, np.array(behind))
     value, before = en.criterion(task, fits), float(en.criterion(task, base)[0])

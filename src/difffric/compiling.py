@@ -27,7 +27,7 @@ class soon_compiled:
     @cached_property
     def _program(self):
         jit: Any = eqx.filter_jit
-        return jit(self._function, compiler_options=_known_options())
+        return jit(self._function, compiler_options=known_options(_OPTIONS))
 
     def __call__(self, *args):
         return self._program(*args)
@@ -37,11 +37,16 @@ class soon_compiled:
         return self._program.lower(*args)
 
 
+def known_options(options: dict[str, Any]) -> dict[str, Any] | None:
+    """The compiler's options, or none where this jaxlib does not know them."""
+    return dict(options) if _are_known(tuple(options.items())) else None
+
+
 @cache
-def _known_options() -> dict[str, Any] | None:
+def _are_known(options: tuple[tuple[str, Any], ...]) -> bool:
     # Asked at the first use: at import there may be no device yet.
     try:
-        jax.jit(lambda x: x, compiler_options=_OPTIONS).lower(0.0).compile()
-    except jax.errors.JaxRuntimeError:  # it knows no such option
-        return None
-    return _OPTIONS
+        jax.jit(lambda x: x, compiler_options=dict(options)).lower(0.0).compile()
+    except jax.errors.JaxRuntimeError:
+        return False
+    return True

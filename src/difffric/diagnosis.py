@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 from difffric import cause_search as search
 from difffric import effects as catalogue
 from difffric import ensemble as en
-from difffric import parameters
+from difffric import parameters, refits
 from difffric.calibration import fit
 from difffric.candidates import component_of, numbers_of
 from difffric.cause_search import Candidate, Score
 from difffric.data_checks import checked_data
-from difffric.diagnosis_data import diagnosis_data, plain_fits
+from difffric.diagnosis_data import beside, diagnosis_data
 from difffric.effects import CATALOGUE, RATIO
 from difffric.ensemble import Fits
-from difffric.errors import InputError
+from difffric.errors import InputError, NumericalError, require_float64
 from difffric.fit_data import sensor_errors
 from difffric.friction import innermost
 from difffric.lack_of_fit import lack_of_fit
@@ -71,8 +71,10 @@ def diagnose(
     `negligible`: the share of the plain model's systematic error below which a cause is listed
     and not added. Effects that the rig has already stay, and are refitted.
 
-    Raises `InputError` for data that cannot be used.
+    Raises `InputError` for data that cannot be used, `NumericalError` where the fitted plain model
+    gives no number for a push.
     """
+    require_float64()
     setup = rig if isinstance(rig, Setup) else Setup(rig)
     return _Diagnosis(setup, data, negligible, use_data_mass, skip_bad, tell).run()
 
@@ -93,8 +95,11 @@ class _Diagnosis:
         """The diagnosis."""
         self._prepare()
         data, task = self.data, self.data.task
-        base = en.refitted(task, self.start, 20)
-        plain = base
+        plain = base = refits.refitted(task, self.start, 20)
+        if (en.penalised(base) >= en.REJECTED).any():
+            raise NumericalError(
+                "diagnose: the fitted plain model could not be followed through every push"
+            )
         before = lack_of_fit(task, plain)
         named: list[tuple[Candidate, tuple[Candidate, ...]]] = []
         small: list[Candidate] = []
@@ -120,11 +125,7 @@ class _Diagnosis:
             if np.sqrt(max(best.drop, 0.0) / total) < self.share:
                 small += [c for c in found if c.penalised_drop > 0]
                 break
-            alike = tuple(
-                c for c in found if c is not best
-                and best.penalised_drop - c.penalised_drop < ALIKE
-            )  # fmt: skip
-            named.append((replace(best, p_value=best.p_value), (*alike, *found)))
+            named.append((best, tuple(found)))
             base = best.fits
             named, base = self._without_needless(plain, named, base)
         return self._result(plain, base, before, named, small, first_scores, total)
@@ -135,7 +136,7 @@ class _Diagnosis:
         plain, known = _stripped(setup.rig)
         self.known = known
         options = {
-            "use_data_mass": self.use_data_mass, "skip_bad": self.skip_bad, "keep_saturated": True,
+            "use_data_mass": self.use_data_mass, "skip_bad": self.skip_bad,
         }  # fmt: skip
         if isinstance(given, Recordings):
             checked: Pushes | Recordings = checked_data(given, plain, **options)
@@ -154,9 +155,7 @@ class _Diagnosis:
             noise = np.stack([checked.peak_force_se, checked.sliding_distance_se], axis=1)
             default = [np.nan if x is None else x for x in sensor_errors(plain)]
             noise = np.where(np.isnan(noise), default, noise)
-        gauged = not np.isnan(measured.mu_s_gauge).any()
-        free = ("k_v_N_s_per_m", "k_N_per_m", "b_N_s_per_m")
-        data = diagnosis_data(plain, measured, reduction, noise, free)
+        data = diagnosis_data(plain, measured, reduction, noise)
         compiling = Thread(target=data.task.model.compile)
         compiling.start()
         try:
@@ -166,9 +165,8 @@ class _Diagnosis:
             )  # fmt: skip
         finally:
             compiling.join()
-        self.data = replace(data, task=replace(data.task, mu_free=not gauged))
+        self.data, start = beside(data, self.fit)
         self.folds = _folds(self.data.task.n)
-        start = plain_fits(self.data, self.fit)
         coordinates = self.data.task.model.coordinates
         c = start.c.copy()
         extra = []
@@ -190,8 +188,8 @@ class _Diagnosis:
 
     def _gains(self, base: Fits, new: Fits) -> bool:
         task = self.data.task
-        old = en.held_out(task, replace(base, spread=new.spread), self.folds).sum()
-        return bool(en.held_out(task, new, self.folds).sum() < old)
+        old = refits.held_out(task, replace(base, spread=new.spread), self.folds).sum()
+        return bool(refits.held_out(task, new, self.folds).sum() < old)
 
     def _without_needless(self, plain, named, base):
         """Causes that later ones made needless are dropped again."""
@@ -205,7 +203,7 @@ class _Diagnosis:
             c[0, gone] = plain.c[0, gone]
             extra = tuple(i for i in base.extra[0] if i not in gone)
             less = replace(base, c=c, extra=(extra,), gram=None, damping=None)
-            less = en.refitted(task, less, 15)
+            less = refits.refitted(task, less, 15)
             drop = float(en.criterion(task, less)[0] - en.criterion(task, base)[0])
             if search.p_value(effect, drop, len(self.data.looked_for)) > SIGNIFICANT:
                 return self._without_needless(plain, named[:k] + named[k + 1 :], less)
@@ -215,34 +213,33 @@ class _Diagnosis:
         task = self.data.task
         after = lack_of_fit(task, base)
         held = [
-            en.held_out(task, replace(x, spread=base.spread), self.folds) for x in (plain, base)
+            refits.held_out(task, replace(x, spread=base.spread), self.folds) for x in (plain, base)
         ]
         numbers = task.counts.sum()
         spent = task.n * (task.mu_free + task.model.recordings)
         floor = float(np.sqrt(max(numbers - spent, 1) / numbers))
         error = [float(np.sqrt(h.sum() / numbers)) for h in held]
         gain = Gain(error[0], error[1], floor)
-        location = None
         scale = total or max(before.excess, 1.0)
         misfit = after.p_value is not None and after.p_value < SIGNIFICANT
         if misfit and np.sqrt(max(after.excess, 0.0) / scale) > LEFT:
             named, base, gain = [], plain, replace(gain, after=gain.before)
-            verdict, location = UNEXPLAINED, self._location(plain)
+            verdict = UNEXPLAINED
+            self.notes.append("in which component the misfit sits is not looked into yet")
         elif not named:
             verdict = ADEQUATE
         else:
-            alike = self._alike(*named[0])
-            verdict = AMBIGUOUS if alike else NAMED
+            verdict = AMBIGUOUS if any(self._alike(*one) for one in named) else NAMED
+        if np.max(held) >= en.REJECTED:
+            self.notes.append("a held-out push could not be followed: its error is without meaning")
         causes = self._causes(plain, base, named, scores)
-        if named and verdict == NAMED and any(c.confusable_with for c in causes):
-            verdict = AMBIGUOUS
         rig = self._rig(base)
         return Diagnosis(
             verdict=verdict,
             p_value=before.p_value,
             causes=causes,
             negligible=tuple(self._cause(plain, c, (), scores) for c in small),
-            location=location,
+            location=None,
             gain=gain,
             not_visible=self._not_visible(scores, {c.effect for c, _ in named}),
             impossible=self.data.impossible,
@@ -255,14 +252,14 @@ class _Diagnosis:
         )
 
     def _alike(self, best: Candidate, others: Sequence[Candidate]) -> tuple[str, ...]:
-        near = [c.effect for c in others if c.effect != best.effect
-                and best.penalised_drop - c.penalised_drop < ALIKE]  # fmt: skip
-        return tuple(dict.fromkeys(near))
+        return tuple(
+            c.effect for c in others
+            if c is not best and best.penalised_drop - c.penalised_drop < ALIKE
+        )  # fmt: skip
 
     def _causes(self, plain, base, named, scores) -> tuple[Cause, ...]:
         out = []
         for best, others in named:
-            others = tuple({c.effect: c for c in others}.values())
             weights = [np.exp(0.5 * (c.penalised_drop - best.penalised_drop)) for c in others]
             total = sum(weights) + np.exp(-0.5 * best.penalised_drop)
             cause = self._cause(plain, best, self._alike(best, others), scores, base)
@@ -283,7 +280,7 @@ class _Diagnosis:
             error = abs(coordinates.slope(name, at.c[0, i])) * errors[columns.index(i)]
             found[key] = (coordinates.value(name, at.c[0, i]), float(error))
         score = scores.get(effect)
-        held = [en.held_out(task, x, self.folds).sum() for x in (plain, candidate.fits)]
+        held = [refits.held_out(task, x, self.folds).sum() for x in (plain, candidate.fits)]
         changed = (at.mu[0, task.condition] + at.own[0]) - (
             plain.mu[0, task.condition] + plain.own[0]
         )
@@ -304,9 +301,6 @@ class _Diagnosis:
     def _not_visible(self, scores: dict[str, Score], seen: set[str]) -> tuple[str, ...]:
         unseen = [e for e, s in scores.items() if s.visible < _VISIBLE and e not in seen]
         return (*self.data.impossible, *unseen)
-
-    def _location(self, plain: Fits) -> str | None:
-        return None
 
     def _rig(self, base: Fits) -> Rig:
         task = self.data.task
@@ -346,11 +340,10 @@ class _Diagnosis:
 def _stripped(rig: Rig) -> tuple[Rig, dict[str, float]]:
     """The plain rig behind an extended one, and the effects' numbers by name."""
     known = {n: float(parameters.values(rig)[n]) for n in catalogue.parameter_names(rig)}
-    plain = replace_laws(rig)
-    return plain, known
+    return _innermost(rig), known
 
 
-def replace_laws(rig: Rig) -> Rig:
+def _innermost(rig: Rig) -> Rig:
     """The rig with the innermost law of each component."""
     return replace(
         rig, friction=innermost(rig.friction), contact=innermost(rig.contact),

@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from difffric import parameters
 from difffric.blocks import stacked_blocks
-from difffric.candidates import Scales
+from difffric.candidates import Scales, numbers_of
 from difffric.effects import CATALOGUE, RATIO
 from difffric.ensemble import Fits, Task
 from difffric.extended_model import PLAIN, Coordinates, ExtendedModel, Pushes, without
+from difffric.fit_data import strokes_of
 from difffric.fitted import Fit
 from difffric.pushes import Pushes as Measured
 from difffric.reduction import Reduction
 from difffric.rig import Rig
+from difffric.units import GRAVITY
 
 NOT_IN_RECORDINGS = ("sample_clipping", "release_threshold")
 """Effects that only reduced numbers have."""
 OWN_PROGRAM = ("presliding",)
-SEPARATE = ("mu_s",)
+"""Effects without a null: no program has them beside the others."""
 
 
 @dataclass(frozen=True)
@@ -36,20 +37,13 @@ class DiagnosisData:
     """effects that these data cannot show, with the reason"""
 
 
-def strokes_of(rig: Rig, measured: Measured) -> NDArray:
-    """(n,) [m]; infinite where none is known."""
-    own = rig.pusher.stroke
-    default = np.inf if own is None else float(own)
-    return np.where(np.isnan(measured.stroke), default, measured.stroke)
-
-
 def diagnosis_data(
-    rig: Rig, measured: Measured, reduction: Reduction | None, noise, free: tuple[str, ...]
+    rig: Rig, measured: Measured, reduction: Reduction | None, noise
 ) -> DiagnosisData:
     """The data of a table (`noise`: standard errors of F_p and d, (n, 2), NaN: not known) or of
-    recordings, against a plain rig; `free` are the shared parameters beside mu_s."""
+    recordings, against a plain rig. No parameter is free yet but mu_s."""
     n = len(measured)
-    strokes = strokes_of(rig, measured)
+    _, strokes = strokes_of(rig, measured.stroke)
     order = measured.order if np.isfinite(measured.order).all() else np.arange(n, dtype=float)
     span = np.ptp(order)
     mass = np.where(np.isnan(measured.mass), float(rig.mass), measured.mass)
@@ -74,14 +68,12 @@ def diagnosis_data(
     names = list(dict.fromkeys(measured.condition))
     task = Task(
         model=ExtendedModel(coordinates, whole, pushes, reduction is not None),
-        shared=tuple(coordinates.index(name) for name in free),
+        shared=(),
         condition=np.array([names.index(c) for c in measured.condition]),
         open_spread=open_,
         counts=counts,
     )
     looked_for = tuple(e for e in (*CATALOGUE, RATIO) if e not in left_out and e not in impossible)
-    if "mu_k_over_mu_s" in free:
-        looked_for = tuple(e for e in looked_for if e != RATIO)
     return DiagnosisData(task, _scales(rig, measured, strokes, mass), measured, looked_for,
                          impossible)  # fmt: skip
 
@@ -117,7 +109,7 @@ def _impossible(measured: Measured, reduction, mass, span) -> dict[str, str]:
 def _scales(rig: Rig, measured: Measured, strokes, mass) -> Scales:
     F, d = measured.peak_force, measured.sliding_distance
     mu = float(parameters.values(rig)["mu_s"])
-    peak = float(np.nanmax(F)) if np.isfinite(F).any() else mu * float(mass.max()) * 9.80665
+    peak = float(np.nanmax(F)) if np.isfinite(F).any() else mu * float(mass.max()) * GRAVITY
     slid = float(np.nanmax(d)) if np.isfinite(d).any() else 1e-3
     contact = peak / float(parameters.values(rig)["k_N_per_m"])
     finite = strokes[np.isfinite(strokes)]
@@ -128,16 +120,27 @@ def _scales(rig: Rig, measured: Measured, strokes, mass) -> Scales:
     )  # fmt: skip
 
 
-def plain_fits(data: DiagnosisData, fit: Fit) -> Fits:
-    """Where the plain fit ended, as an ensemble of one."""
+def beside(data: DiagnosisData, fit: Fit) -> tuple[DiagnosisData, Fits]:
+    """The data with what was free in a plain fit of them, and where that ended, as an ensemble of
+    one."""
     task = data.task
-    coordinates, conditions = task.model.coordinates, list(dict.fromkeys(fit.conditions))
+    coordinates, model = task.model.coordinates, fit.work[0]
+    shared = [name for name in dict.fromkeys(fit.names) if name in PLAIN and name != "mu_s"]
+    task = replace(
+        task,
+        shared=tuple(coordinates.index(name) for name in shared),
+        mu_free="mu_s" in fit.names,
+        estimate_scatter=model.estimate_scatter,
+    )
+    looked_for = tuple(
+        e for e in data.looked_for if not (e == RATIO and numbers_of(e)[0] in shared)
+    )
     c = np.zeros((1, len(coordinates.names)))
     values = parameters.values(fit.rig)
     for name in PLAIN:
         c[0, coordinates.index(name)] = coordinates.coordinate(name, float(values[name]))
     log_mu = np.log(fit.mu_s)
-    mu = np.array([[log_mu[task.condition == k].mean() for k in range(len(conditions))]])
+    mu = np.array([[log_mu[task.condition == k].mean() for k in range(task.conditions)]])
     own = (log_mu - mu[0, task.condition])[None]
-    scatter = np.array([max(fit.scatter, 1e-4)])
-    return Fits(((),), c, mu, own, scatter, np.ones((1, 2)))
+    fits = Fits(((),), c, mu, own, np.array([max(fit.scatter, 1e-4)]), np.ones((1, 2)))
+    return replace(data, task=task, looked_for=looked_for), fits

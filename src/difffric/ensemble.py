@@ -2,8 +2,8 @@
 
 A fit moves the plain parameters, a mu_s of each condition and of each push (which scatters about
 it), and the numbers of its effects. Its answers come as Gram matrices, so that everything else is
-small linear algebra, done for all fits together: Levenberg-Marquardt steps, the scatter by
-restricted maximum likelihood, spreads that are not known, and what a held-out push would say.
+small linear algebra, done for all fits together: here the normal equations, the scatter by
+restricted maximum likelihood, spreads that are not known; `refits` moves the fits.
 """
 
 from __future__ import annotations
@@ -18,8 +18,10 @@ from difffric.extended_model import ExtendedModel
 
 _SCATTERS = np.concatenate([[1e-6], np.geomspace(3e-4, 0.3, 24)])
 """Relative scatters of mu_s that are looked at."""
-_REJECTED = 1e12
+REJECTED = 1e12
+"""The square of a residual where a push could not be followed."""
 _LEAST_DIAGONAL = 1e-9
+_RIDGE = 1e-13
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,7 @@ class Task:
     mu_free: bool = True
     """whether mu_s is free; else it is what a gauge says of each push"""
     estimate_scatter: bool = True
+    """whether mu_s scatters by as much as the data say, or by as much as the fits have"""
     open_spread: tuple[bool, bool] = (False, False)
     """whether the noise of force and of distance is to be estimated"""
     counts: NDArray = field(default_factory=lambda: np.ones((1, 2)))
@@ -67,9 +70,8 @@ class Fits:
     """(m, 2) factor of the noise of each channel"""
     gram: Any = None
     """(m, n, 2, D + 1, D + 1) of the answers there"""
-    model: Any = None
-    """(m, n, 2)"""
     residual: Any = None
+    """(m, n, 2, blocks) whitened"""
     damping: Any = None
     """(m,) Levenberg and Marquardt's"""
 
@@ -87,8 +89,8 @@ class Fits:
 
         return Fits(
             tuple(self.extra[j] for j in which), self.c[which], self.mu[which], self.own[which],
-            self.scatter[which], self.spread[which], of(self.gram), of(self.model),
-            of(self.residual), of(self.damping),
+            self.scatter[which], self.spread[which], of(self.gram), of(self.residual),
+            of(self.damping),
         )  # fmt: skip
 
 
@@ -101,14 +103,14 @@ def together(*parts: Fits) -> Fits:
             return None
         if name == "gram":
             size = max(x.shape[-1] for x in columns)
-            columns = [_widened(x, size) for x in columns]
+            columns = [widened(x, size) for x in columns]
         return np.concatenate(columns)
 
-    names = ("c", "mu", "own", "scatter", "spread", "gram", "model", "residual", "damping")
+    names = ("c", "mu", "own", "scatter", "spread", "gram", "residual", "damping")
     return Fits(sum((p.extra for p in parts), ()), *(of(name) for name in names))
 
 
-def _widened(gram, size):
+def widened(gram, size):
     """With empty columns before the residual's."""
     missing = size - gram.shape[-1]
     if not missing:
@@ -145,12 +147,11 @@ def evaluated(task: Task, fits: Fits, pushes: NDArray | None = None) -> Fits:
     gram = found.gram.reshape(*shape, *found.gram.shape[1:])
     bad = ~np.isfinite(gram).all(axis=(2, 3, 4))
     gram = np.where(bad[:, :, None, None, None], 0.0, gram)
-    gram[..., -1, -1] += np.where(bad, _REJECTED, 0.0)[:, :, None]
-    model = found.model.reshape(*shape, 2)
+    gram[..., -1, -1] += np.where(bad, REJECTED, 0.0)[:, :, None]
     residual = found.residual.reshape(*shape, *found.residual.shape[1:])
     if len(which) < task.n:
-        gram, model, residual = (_placed(x, which, task.n) for x in (gram, model, residual))
-    return replace(fits, gram=gram, model=model, residual=residual)
+        gram, residual = (_placed(x, which, task.n) for x in (gram, residual))
+    return replace(fits, gram=gram, residual=residual)
 
 
 def _placed(x, which, n):
@@ -177,11 +178,9 @@ class Normal:
     """(m, n)"""
 
 
-def _parts(task: Task, fits: Fits, on=None):
+def parts_of(task: Task, fits: Fits):
     """Blocks by push at own mu_s = 0: (H_i, h_i, z_i, g_i, gm_i, rr_i)."""
     G = np.einsum("mnkij,mk->mnij", fits.gram, 1.0 / fits.spread**2)
-    if on is not None:
-        G = G * on[:, :, None, None]
     n, size = G.shape[1:3]
     D, C = size - 1, task.conditions
     P = C + D - 1
@@ -200,7 +199,7 @@ def _parts(task: Task, fits: Fits, on=None):
 
 def normal(task: Task, fits: Fits, scatter=None, parts=None) -> Normal:
     """The normal equations for a scatter (m,)."""
-    H, h, z, g, gm, rr = _parts(task, fits) if parts is None else parts
+    H, h, z, g, gm, rr = parts_of(task, fits) if parts is None else parts
     s = fits.scatter if scatter is None else scatter
     weight = 1.0 / (z + 1.0 / s[:, None] ** 2)
     return Normal(
@@ -213,15 +212,24 @@ def normal(task: Task, fits: Fits, scatter=None, parts=None) -> Normal:
     )
 
 
-def solve(H: NDArray, g: NDArray, damping=0.0) -> NDArray:
-    """(m, P) steps; a parameter that nothing depends on stays."""
+def _scaled(H: NDArray) -> tuple[NDArray, NDArray]:
+    """(m, P, P) with a unit diagonal, apart from any others where nothing depends on a parameter;
+    and the (m, P) roots of the diagonal."""
     diagonal = np.einsum("mpp->mp", H)
     scale = np.sqrt(np.maximum(diagonal, _LEAST_DIAGONAL))
+    there = diagonal > _LEAST_DIAGONAL
     A = H / (scale[:, :, None] * scale[:, None, :])
-    P = A.shape[1]
-    floor = np.where(diagonal > _LEAST_DIAGONAL, 1e-13, 1.0)
+    unit = np.eye(H.shape[1])
+    return np.where(there[:, :, None] & there[:, None, :], A, unit) + _RIDGE * unit, scale
+
+
+def solve(H: NDArray, g: NDArray, damping=0.0) -> NDArray:
+    """(m, P) steps; a parameter that nothing depends on stays."""
+    A, scale = _scaled(H)
     lam = np.broadcast_to(np.asarray(damping, float), (len(H),))
-    A = A + (floor + lam[:, None])[:, :, None] * np.eye(P)
+    A = A + lam[:, None, None] * np.eye(A.shape[1])
+    there = np.einsum("mpp->mp", H) > _LEAST_DIAGONAL
+    g = np.where(there, g, 0.0)
     return -np.linalg.solve(A, (g / scale)[:, :, None])[:, :, 0] / scale
 
 
@@ -254,18 +262,14 @@ def rescattered(task: Task, fits: Fits) -> Fits:
             fits = replace(fits, spread=spread)
     if not (task.estimate_scatter and task.mu_free):
         return fits
-    parts = _parts(task, fits)
+    parts = parts_of(task, fits)
     values = []
     for s in _SCATTERS:
         found = normal(task, fits, np.full(fits.m, s), parts)
         step = solve(found.H, found.g)
         gain = np.einsum("mp,mp->m", step, found.g)
-        diagonal = np.einsum("mpp->mp", found.H)
-        scale = np.sqrt(np.maximum(diagonal, _LEAST_DIAGONAL))
-        A = found.H / (scale[:, :, None] * scale[:, None, :])
-        there = diagonal > _LEAST_DIAGONAL
-        A = np.where(there[:, :, None] & there[:, None, :], A, np.eye(A.shape[1]))
-        volume = np.linalg.slogdet(A + 1e-12 * np.eye(A.shape[1]))[1] + 2 * np.log(scale).sum(1)
+        A, scale = _scaled(found.H)
+        volume = np.linalg.slogdet(A)[1] + 2 * np.log(scale).sum(1)
         values.append(found.cost + gain + np.log1p(s**2 * found.z).sum(axis=1) + volume)
     return replace(fits, scatter=_SCATTERS[np.argmin(values, axis=0)])
 
@@ -280,167 +284,7 @@ def penalised(fits: Fits) -> NDArray:
     return rss + (fits.own**2).sum(axis=1) / fits.scatter**2
 
 
-def bounded(H, g, now, lower, upper, damping=0.0) -> NDArray:
-    """(m, P) steps that end within bounds: what would cross one ends there, and the others make
-    the best of it."""
-    stopped = np.zeros(now.shape, bool)
-    end = np.zeros(now.shape)
-    for _ in range(5):
-        pull = g + np.einsum("mpq,mq->mp", H, end)
-        A = np.where(stopped[:, :, None] | stopped[:, None, :], 0.0, H)
-        step = np.where(stopped, end, solve(A, np.where(stopped, 0.0, pull), damping))
-        new = now + step
-        crossed = ~stopped & ((new < lower) | (new > upper))
-        if not crossed.any():
-            break
-        end = np.where(crossed, np.clip(new, lower, upper) - now, end)
-        stopped |= crossed
-    return np.clip(now + step, lower, upper) - now
-
-
-def moved(task: Task, fits: Fits, damping) -> Fits:
-    """The fits one damped Gauss-Newton step on, within the bounds; answers not yet there."""
-    found = normal(task, fits)
-    now = _point(task, fits)
-    step = bounded(found.H, found.g, now, *_limits(task, fits), damping)
-    new = now + step
-    weight = 1.0 / (found.z + 1.0 / fits.scatter[:, None] ** 2)
-    own = -(found.gm + np.einsum("mnp,mp->mn", found.h, step)) * weight
-    return replace(_placed_at(task, fits, new), own=own, gram=None)
-
-
-def _columns(task: Task, extra: tuple[int, ...]) -> list[int]:
-    """Coordinates behind the columns after the conditions' mu_s."""
-    return [*task.shared, *extra]
-
-
-def _limits(task: Task, fits: Fits):
-    coordinates, P = task.model.coordinates, _point(task, fits).shape[1]
-    lower, upper = np.full((fits.m, P), -np.inf), np.full((fits.m, P), np.inf)
-    for j, extra in enumerate(fits.extra):
-        for k, i in enumerate(_columns(task, extra)):
-            lower[j, task.conditions + k], upper[j, task.conditions + k] = coordinates.bounds(
-                coordinates.names[i]
-            )
-    return lower, upper
-
-
-def _point(task: Task, fits: Fits) -> NDArray:
-    width = len(task.shared) + max((len(x) for x in fits.extra), default=0)
-    if fits.gram is not None:
-        width = max(width, fits.gram.shape[-1] - 2)
-    out = np.zeros((fits.m, task.conditions + width))
-    out[:, : task.conditions] = fits.mu
-    for j, extra in enumerate(fits.extra):
-        for k, i in enumerate(_columns(task, extra)):
-            out[j, task.conditions + k] = fits.c[j, i]
-    return out
-
-
-def _placed_at(task: Task, fits: Fits, point: NDArray) -> Fits:
-    c = fits.c.copy()
-    for j, extra in enumerate(fits.extra):
-        for k, i in enumerate(_columns(task, extra)):
-            c[j, i] = point[j, task.conditions + k]
-    return replace(fits, mu=point[:, : task.conditions].copy(), c=c)
-
-
-def refitted(
-    task: Task, fits: Fits, rounds: int, pushes: NDArray | None = None, tol: float = 0.02
-) -> Fits:
-    """The fits after at most `rounds` of Levenberg-Marquardt, those that have arrived resting.
-
-    A fit has arrived where less than `tol` is left to gain in chi-square.
-    """
-    if fits.gram is None:
-        fits = rescattered(task, evaluated(task, fits, pushes))
-    damping = fits.damping if fits.damping is not None else np.full(fits.m, 1e-3)
-    active = np.ones(fits.m, bool)
-    for _ in range(rounds):
-        which = np.flatnonzero(active)
-        if not len(which):
-            break
-        at = fits.pick(which)
-        trial = evaluated(task, moved(task, at, damping[which]), pushes)
-        before, after = penalised(at), penalised(trial)
-        better = after < before
-        gain = before - after
-        damping[which] = np.where(better, np.maximum(damping[which] / 8, 1e-9), damping[which] * 8)
-        done = (better & (gain < tol)) | (damping[which] > 1e6)
-        if better.any():
-            good = rescattered(task, trial.pick(np.flatnonzero(better)))
-            fits = _replaced(fits, which[better], good)
-        active[which[done]] = False
-    return replace(fits, damping=damping)
-
-
-def _replaced(fits: Fits, which, new: Fits) -> Fits:
-    def put(old, values):
-        if old is None or values is None:
-            return old
-        out = old.copy()
-        if out.ndim > 3 and out.shape[-1] != values.shape[-1] and out.shape[-2] == out.shape[-1]:
-            values = _widened(values, out.shape[-1])
-        out[which] = values
-        return out
-
-    names = ("c", "mu", "own", "scatter", "spread", "gram", "model", "residual")
-    return replace(fits, **{x: put(getattr(fits, x), getattr(new, x)) for x in names})
-
-
 def covariance(task: Task, fits: Fits) -> NDArray:
     """(m, P, P) of mu_s, the shared parameters and each fit's own, as coordinates."""
-    H = normal(task, fits).H
-    diagonal = np.einsum("mpp->mp", H)
-    scale = np.sqrt(np.maximum(diagonal, _LEAST_DIAGONAL))
-    A = H / (scale[:, :, None] * scale[:, None, :])
-    there = diagonal > _LEAST_DIAGONAL
-    A = np.where(there[:, :, None] & there[:, None, :], A, np.eye(A.shape[1]))
-    inverse = np.linalg.inv(A + 1e-13 * np.eye(A.shape[1]))
-    return inverse / (scale[:, :, None] * scale[:, None, :])
-
-
-def held_out(task: Task, fits: Fits, folds: NDArray) -> NDArray:
-    """(m, n) sum of squares of each push as predicted by a fit to the other folds, its own mu_s
-    alone re-estimated. `folds` (n,) numbers each push's fold.
-
-    The parameters without a fold are one Gauss-Newton step from the fit to everything; the push
-    is then followed with them, exactly.
-    """
-    parts = _parts(task, fits)
-    H_i, h, z, g_i, gm, _ = parts
-    weight = 1.0 / (z + 1.0 / fits.scatter[:, None] ** 2)
-    H_i = H_i - np.einsum("mnp,mnq,mn->mnpq", h, h, weight)
-    g_i = g_i - h * (gm * weight)[:, :, None]
-    limits, now = _limits(task, fits), _point(task, fits)
-    c = np.repeat(fits.c[:, None], task.n, axis=1)
-    mu = np.zeros((fits.m, task.n))
-    for fold in np.unique(folds):
-        inside = folds != fold
-        H, g = H_i[:, inside].sum(axis=1), g_i[:, inside].sum(axis=1)
-        at = _placed_at(task, fits, now + bounded(H, g, now, *limits))
-        for i in np.flatnonzero(~inside):
-            c[:, i] = at.c
-            mu[:, i] = at.mu[:, task.condition[i]]
-    own = fits.own
-    total = np.full((fits.m, task.n), np.inf)
-    for _ in range(2):
-        c[:, :, 0] = mu + own
-        rows = np.zeros((1, c.shape[2]))
-        rows[0, 0] = float(task.mu_free)
-        found = task.model.answers(
-            np.tile(np.arange(task.n), fits.m), c.reshape(-1, c.shape[2]), rows
-        )
-        G = np.einsum(
-            "mnkij,mk->mnij",
-            found.gram.reshape(fits.m, task.n, 2, 2, 2),
-            1.0 / fits.spread**2,
-        )
-        zz, gz, rr = G[:, :, 0, 0], G[:, :, 0, 1], G[:, :, 1, 1]
-        s = 1.0 / fits.scatter[:, None] ** 2
-        step = -(gz + s * own) / (zz + s)
-        value = rr + 2 * step * gz + step**2 * zz
-        value = np.where(np.isfinite(value), value, _REJECTED)
-        total = np.minimum(total, value)
-        own = own + np.where(np.isfinite(step), step, 0.0)
-    return total
+    A, scale = _scaled(normal(task, fits).H)
+    return np.linalg.inv(A) / (scale[:, :, None] * scale[:, None, :])

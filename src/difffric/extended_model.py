@@ -284,11 +284,6 @@ class ExtendedModel:
         """Make the program ready; may be left to another thread."""
         _ = self._compiled
 
-    @property
-    def n(self) -> int:
-        """Pushes."""
-        return len(self.pushes.velocity)
-
     def answers(self, index: NDArray, c: NDArray, directions: NDArray) -> Answer:
         """For N pairs: pushes `index` (N,), coordinates (N, K), directions (N, D, K) or (D, K),
         D at most `directions`. NumPy arrays come back, Gram matrices of D + 1 columns."""

@@ -1,0 +1,165 @@
+"""An ensemble's fits on the move: Levenberg-Marquardt within bounds; held-out pushes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric import ensemble as en
+from difffric.ensemble import Fits, Task
+
+
+def bounded(H, g, now, lower, upper, damping=0.0) -> NDArray:
+    """(m, P) steps that end within bounds: what would cross one ends there, and the others make
+    the best of it."""
+    stopped = np.zeros(now.shape, bool)
+    end = np.zeros(now.shape)
+    for _ in range(5):
+        pull = g + np.einsum("mpq,mq->mp", H, end)
+        A = np.where(stopped[:, :, None] | stopped[:, None, :], 0.0, H)
+        step = np.where(stopped, end, en.solve(A, np.where(stopped, 0.0, pull), damping))
+        new = now + step
+        crossed = ~stopped & ((new < lower) | (new > upper))
+        if not crossed.any():
+            break
+        end = np.where(crossed, np.clip(new, lower, upper) - now, end)
+        stopped |= crossed
+    return np.clip(now + step, lower, upper) - now
+
+
+def moved(task: Task, fits: Fits, damping) -> Fits:
+    """The fits one damped Gauss-Newton step on, within the bounds; answers not yet there."""
+    found = en.normal(task, fits)
+    now = _point(task, fits)
+    step = bounded(found.H, found.g, now, *_limits(task, fits), damping)
+    new = now + step
+    weight = 1.0 / (found.z + 1.0 / fits.scatter[:, None] ** 2)
+    own = -(found.gm + np.einsum("mnp,mp->mn", found.h, step)) * weight
+    return replace(_placed_at(task, fits, new), own=own, gram=None)
+
+
+def _columns(task: Task, extra: tuple[int, ...]) -> list[int]:
+    """Coordinates behind the columns after the conditions' mu_s."""
+    return [*task.shared, *extra]
+
+
+def _limits(task: Task, fits: Fits):
+    coordinates, P = task.model.coordinates, _point(task, fits).shape[1]
+    lower, upper = np.full((fits.m, P), -np.inf), np.full((fits.m, P), np.inf)
+    for j, extra in enumerate(fits.extra):
+        for k, i in enumerate(_columns(task, extra)):
+            lower[j, task.conditions + k], upper[j, task.conditions + k] = coordinates.bounds(
+                coordinates.names[i]
+            )
+    return lower, upper
+
+
+def _point(task: Task, fits: Fits) -> NDArray:
+    width = len(task.shared) + max((len(x) for x in fits.extra), default=0)
+    if fits.gram is not None:
+        width = max(width, fits.gram.shape[-1] - 2)
+    out = np.zeros((fits.m, task.conditions + width))
+    out[:, : task.conditions] = fits.mu
+    for j, extra in enumerate(fits.extra):
+        for k, i in enumerate(_columns(task, extra)):
+            out[j, task.conditions + k] = fits.c[j, i]
+    return out
+
+
+def _placed_at(task: Task, fits: Fits, point: NDArray) -> Fits:
+    c = fits.c.copy()
+    for j, extra in enumerate(fits.extra):
+        for k, i in enumerate(_columns(task, extra)):
+            c[j, i] = point[j, task.conditions + k]
+    return replace(fits, mu=point[:, : task.conditions].copy(), c=c)
+
+
+def refitted(
+    task: Task, fits: Fits, rounds: int, pushes: NDArray | None = None, tol: float = 0.02
+) -> Fits:
+    """The fits after at most `rounds` of Levenberg-Marquardt, those that have arrived resting.
+
+    A fit has arrived where less than `tol` is left to gain in chi-square.
+    """
+    if fits.gram is None:
+        fits = en.rescattered(task, en.evaluated(task, fits, pushes))
+    damping = fits.damping if fits.damping is not None else np.full(fits.m, 1e-3)
+    active = np.ones(fits.m, bool)
+    for _ in range(rounds):
+        which = np.flatnonzero(active)
+        if not len(which):
+            break
+        at = fits.pick(which)
+        trial = en.evaluated(task, moved(task, at, damping[which]), pushes)
+        before, after = en.penalised(at), en.penalised(trial)
+        better = after < before
+        gain = before - after
+        damping[which] = np.where(better, np.maximum(damping[which] / 8, 1e-9), damping[which] * 8)
+        done = (better & (gain < tol)) | (damping[which] > 1e6)
+        if better.any():
+            good = en.rescattered(task, trial.pick(np.flatnonzero(better)))
+            fits = _replaced(fits, which[better], good)
+        active[which[done]] = False
+    return replace(fits, damping=damping)
+
+
+def _replaced(fits: Fits, which, new: Fits) -> Fits:
+    def put(old, values):
+        if old is None or values is None:
+            return old
+        out = old.copy()
+        if out.ndim > 3 and out.shape[-1] != values.shape[-1] and out.shape[-2] == out.shape[-1]:
+            values = en.widened(values, out.shape[-1])
+        out[which] = values
+        return out
+
+    names = ("c", "mu", "own", "scatter", "spread", "gram", "residual")
+    return replace(fits, **{x: put(getattr(fits, x), getattr(new, x)) for x in names})
+
+
+def held_out(task: Task, fits: Fits, folds: NDArray) -> NDArray:
+    """(m, n) sum of squares of each push as predicted by a fit to the other folds, its own mu_s
+    alone re-estimated. `folds` (n,) numbers each push's fold.
+
+    The parameters without a fold are one Gauss-Newton step from the fit to everything; the push
+    is then followed with them, exactly.
+    """
+    parts = en.parts_of(task, fits)
+    H_i, h, z, g_i, gm, _ = parts
+    weight = 1.0 / (z + 1.0 / fits.scatter[:, None] ** 2)
+    H_i = H_i - np.einsum("mnp,mnq,mn->mnpq", h, h, weight)
+    g_i = g_i - h * (gm * weight)[:, :, None]
+    limits, now = _limits(task, fits), _point(task, fits)
+    c = np.repeat(fits.c[:, None], task.n, axis=1)
+    mu = np.zeros((fits.m, task.n))
+    for fold in np.unique(folds):
+        inside = folds != fold
+        H, g = H_i[:, inside].sum(axis=1), g_i[:, inside].sum(axis=1)
+        at = _placed_at(task, fits, now + bounded(H, g, now, *limits))
+        for i in np.flatnonzero(~inside):
+            c[:, i] = at.c
+            mu[:, i] = at.mu[:, task.condition[i]]
+    own = fits.own
+    total = np.full((fits.m, task.n), np.inf)
+    for _ in range(2):
+        c[:, :, 0] = mu + own
+        rows = np.zeros((1, c.shape[2]))
+        rows[0, 0] = float(task.mu_free)
+        found = task.model.answers(
+            np.tile(np.arange(task.n), fits.m), c.reshape(-1, c.shape[2]), rows
+        )
+        G = np.einsum(
+            "mnkij,mk->mnij",
+            found.gram.reshape(fits.m, task.n, 2, 2, 2),
+            1.0 / fits.spread**2,
+        )
+        zz, gz, rr = G[:, :, 0, 0], G[:, :, 0, 1], G[:, :, 1, 1]
+        s = 1.0 / fits.scatter[:, None] ** 2
+        step = -(gz + s * own) / (zz + s)
+        value = rr + 2 * step * gz + step**2 * zz
+        value = np.where(np.isfinite(value), value, en.REJECTED)
+        total = np.minimum(total, value)
+        own = own + np.where(np.isfinite(step), step, 0.0)
+    return total
