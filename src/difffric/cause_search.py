@@ -174,7 +174,7 @@ def explore(
     leaders += [j for j in by_score[:_SCORED] if j not in leaders]
     fits, owner = fits.pick(leaders), owner[leaders]
     # From where the scan led, and from where the score test does.
-    parts, behind = [replace(fits, gram=None, model=None, residual=None, damping=None)], [*owner]
+    parts, behind = [replace(fits, gram=None, residual=None, damping=None)], [*owner]
     for k in owner:
         score = scores.get(effects[int(k)])
         if score is not None and score.drop > 4:
