@@ -157,16 +157,16 @@ def stacked_blocks(
                 blocks_of(r.position, x.noise_position, events, (), rest, end, longest),
             )
         )
-    return _stack([row[0] for row in rows]), _stack([row[1] for row in rows])
+    both = [row[0] for row in rows], [row[1] for row in rows]
+    m = _room(max(len(p.y) for parts in both for p in parts))
+    return _stack(both[0], m), _stack(both[1], m)
 
 
-def _stack(parts: list[Blocks]) -> Blocks:
-    longest_t = max(len(p.t) for p in parts)
-    longest_y = max(len(p.y) for p in parts)
+def _room(n: int) -> int:
+    return max(ROOM, -(-n // ROOM) * ROOM)
 
-    def room(n):
-        return max(ROOM, -(-n // ROOM) * ROOM)
 
+def _stack(parts: list[Blocks], m: int) -> Blocks:
     def padded(x, size, last=False):
         out = np.zeros(size, x.dtype)
         out[: len(x)] = x
@@ -174,7 +174,7 @@ def _stack(parts: list[Blocks]) -> Blocks:
             out[len(x) :] = x[-1]
         return out
 
-    e, m = room(longest_t), room(longest_y)
+    e = _room(max(len(p.t) for p in parts))
     fields = [
         [padded(p.t, e, last=True), *(padded(x, m) for x in p[1:6]), p.samples] for p in parts
     ]

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from difffric import effects
 from difffric.effects import CATALOGUE, RATIO
@@ -32,6 +32,8 @@ class Scales:
     """how far the part gets [m]"""
     travel: float
     """how far the tip does, about [m]"""
+    ways: NDArray
+    """(n,) how far the part gets in each push, about [m]"""
 
 
 def numbers_of(effect: str) -> tuple[str, ...]:
@@ -64,10 +66,7 @@ def grid(effect: str, scale: Scales) -> Iterator[dict[str, float]]:
 
 def _values(effect: str, s: Scales):
     signs = (-1.0, 1.0)
-    phases = np.arange(4) * np.pi / 2
     weight = s.mass * GRAVITY
-    waves = np.geomspace(max(s.reach / 12, 1e-4), 2 * s.reach, 7)
-    periods = np.geomspace(max(s.travel / 20, 5e-5), 2 * s.travel, 7)
     match effect:
         case "tilt":
             return [a * x for a in signs for x in (0.003, 0.02)]
@@ -75,11 +74,6 @@ def _values(effect: str, s: Scales):
             return [a * x * weight for a in signs for x in (0.03, 0.2)]
         case "friction_drift":
             return [a * x for a in signs for x in (0.03, 0.2)]
-        case "friction_waviness":
-            return [(0.06, w, p) for w, p in product(waves, phases)]
-        case "friction_patch":
-            places = s.reach * np.array([0.08, 0.2, 0.4, 0.6, 0.8])
-            return [(a * 0.12, x) for a, x in product(signs, places)]
         case "friction_ratio":
             return [0.55, 0.67, 0.84, 0.95]
         case "stribeck":
@@ -100,8 +94,6 @@ def _values(effect: str, s: Scales):
             return s.fastest / np.array([3e-4, 2e-3, 1e-2, 4e-2])
         case "pusher_lag":
             return [1e-4, 5e-4, 2e-3, 8e-3]
-        case "pusher_ripple":
-            return [(0.05, w, p) for w, p in product(periods, phases)]
         case "force_lowpass":
             return [3e-5, 2e-4, 1e-3, 4e-3]
         case "force_highpass":
@@ -111,7 +103,7 @@ def _values(effect: str, s: Scales):
         case "force_offset":
             return [a * x * s.peak for a in signs for x in (0.01, 0.05)]
         case "force_saturation":
-            return [x * s.peak for x in (0.5, 0.75, 0.95)]
+            return [x * s.peak for x in (0.5, 0.75, 0.9, 0.97, 0.995)]
         case "sample_clipping":
             return [300.0, 1000.0, 4000.0]
         case "probe_scale":

@@ -14,6 +14,7 @@ from difffric import refits
 from difffric.candidates import LOCAL, Scales, grid, numbers_of
 from difffric.effects import KEYS
 from difffric.ensemble import Fits, Task
+from difffric.shape_scan import SHAPED, shape_starts
 
 SUBSET = 6
 """Pushes that a scan looks at: enough speeds to tell effects apart, at a fraction of the cost."""
@@ -111,13 +112,18 @@ def subset_of(task: Task, most: int = SUBSET) -> NDArray:
     return np.array(sorted(chosen))
 
 
-def starts_of(task: Task, base: Fits, effect: str, scales: Scales, score: Score | None) -> Fits:
+def starts_of(
+    task: Task, base: Fits, effect: str, scales: Scales, score: Score | None, some: NDArray
+) -> Fits:
     """An ensemble of starts for one effect on top of `base` (an ensemble of one)."""
     coordinates = task.model.coordinates
     index = [coordinates.index(name) for name in numbers_of(effect)]
     rows = []
-    for values in grid(effect, scales):
-        rows.append([coordinates.coordinate(name, x) for name, x in values.items()])
+    if effect in SHAPED:
+        rows = shape_starts(task, base, effect, scales, some).tolist()
+    else:
+        for values in grid(effect, scales):
+            rows.append([coordinates.coordinate(name, x) for name, x in values.items()])
     if effect in LOCAL:
         rows.append([base.c[0, i] for i in index])
         if score is not None and score.drop > 0:
@@ -149,7 +155,7 @@ def explore(
     # A table's pushes are followed in less time: all of them, by more effects.
     quick = not task.model.recordings
     effects, some = list(effects), np.arange(task.n) if quick else subset_of(task)
-    starts = [starts_of(task, base, e, scales, scores.get(e)) for e in effects]
+    starts = [starts_of(task, base, e, scales, scores.get(e), some) for e in effects]
     owner = np.concatenate([np.full(s.m, k) for k, s in enumerate(starts)])
     fits = en.evaluated(task, en.together(*starts), some)
     tell(0.25)
@@ -178,11 +184,11 @@ def explore(
     for k in owner:
         score = scores.get(effects[int(k)])
         if score is not None and score.drop > 4:
-            near = starts_of(task, base, effects[int(k)], scales, score)
+            near = starts_of(task, base, effects[int(k)], scales, score, some)
             parts.append(near.pick([near.m - 1]))
             behind.append(k)
         if effects[int(k)] in LOCAL:  # no fit is to end above the one that it extends
-            null = starts_of(task, base, effects[int(k)], scales, None)
+            null = starts_of(task, base, effects[int(k)], scales, None, some)
             parts.append(null.pick([null.m - 1]))
             behind.append(k)
     fits = refits.refitted(task, en.together(*parts), _ROUNDS)

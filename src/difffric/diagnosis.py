@@ -188,8 +188,8 @@ class _Diagnosis:
 
     def _gains(self, base: Fits, new: Fits) -> bool:
         task = self.data.task
-        old = refits.held_out(task, replace(base, spread=new.spread), self.folds).sum()
-        return bool(refits.held_out(task, new, self.folds).sum() < old)
+        old = refits.held_out(task, replace(base, spread=new.spread), self.folds)
+        return bool(refits.held_out(task, new, self.folds).surprise.sum() < old.surprise.sum())
 
     def _without_needless(self, plain, named, base):
         """Causes that later ones made needless are dropped again."""
@@ -213,7 +213,8 @@ class _Diagnosis:
         task = self.data.task
         after = lack_of_fit(task, base)
         held = [
-            refits.held_out(task, replace(x, spread=base.spread), self.folds) for x in (plain, base)
+            refits.held_out(task, replace(x, spread=base.spread), self.folds).squares
+            for x in (plain, base)
         ]
         numbers = task.counts.sum()
         spent = task.n * (task.mu_free + task.model.recordings)
@@ -280,7 +281,9 @@ class _Diagnosis:
             error = abs(coordinates.slope(name, at.c[0, i])) * errors[columns.index(i)]
             found[key] = (coordinates.value(name, at.c[0, i]), float(error))
         score = scores.get(effect)
-        held = [refits.held_out(task, x, self.folds).sum() for x in (plain, candidate.fits)]
+        held = [
+            refits.held_out(task, x, self.folds).surprise.sum() for x in (plain, candidate.fits)
+        ]
         changed = (at.mu[0, task.condition] + at.own[0]) - (
             plain.mu[0, task.condition] + plain.own[0]
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,9 +120,18 @@ def _replaced(fits: Fits, which, new: Fits) -> Fits:
     return replace(fits, **{x: put(getattr(fits, x), getattr(new, x)) for x in names})
 
 
-def held_out(task: Task, fits: Fits, folds: NDArray) -> NDArray:
-    """(m, n) sum of squares of each push as predicted by a fit to the other folds, its own mu_s
-    alone re-estimated. `folds` (n,) numbers each push's fold.
+class HeldOut(NamedTuple):
+    """What fits say of pushes that they have not seen."""
+
+    squares: NDArray
+    """(m, n) sums of squares, each push's own mu_s alone re-estimated"""
+    surprise: NDArray
+    """(m, n) -2 log likelihood but for a constant, each push's own mu_s averaged over: what
+    explains the scatter of mu_s, as a drift does, gains here and not in the squares"""
+
+
+def held_out(task: Task, fits: Fits, folds: NDArray) -> HeldOut:
+    """Each push as predicted by a fit to the other folds. `folds` (n,) numbers each push's fold.
 
     The parameters without a fold are one Gauss-Newton step from the fit to everything; the push
     is then followed with them, exactly.
@@ -142,7 +152,7 @@ def held_out(task: Task, fits: Fits, folds: NDArray) -> NDArray:
             c[:, i] = at.c
             mu[:, i] = at.mu[:, task.condition[i]]
     own = fits.own
-    total = np.full((fits.m, task.n), np.inf)
+    squares, surprise = np.full((2, fits.m, task.n), np.inf)
     for _ in range(2):
         c[:, :, 0] = mu + own
         rows = np.zeros((1, c.shape[2]))
@@ -160,6 +170,8 @@ def held_out(task: Task, fits: Fits, folds: NDArray) -> NDArray:
         step = -(gz + s * own) / (zz + s)
         value = rr + 2 * step * gz + step**2 * zz
         value = np.where(np.isfinite(value), value, en.REJECTED)
-        total = np.minimum(total, value)
         own = own + np.where(np.isfinite(step), step, 0.0)
-    return total
+        squares = np.minimum(squares, value)
+        volume = np.where(np.isfinite(zz), np.log1p(zz / s), 0.0)
+        surprise = np.minimum(surprise, value + s * own**2 + volume)
+    return HeldOut(squares, surprise)

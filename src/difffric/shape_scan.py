@@ -1,0 +1,105 @@
+"""Where to start with effects that have a shape: a wavelength and a phase, or a place.
+
+Their amplitude has an exact derivative at the null for each shape: a score test a shape, at the
+cost of one evaluation, tells how much it would explain and with which amplitude and phase. A long
+push tells wavelengths apart that are close together, and has many of them: the search begins with
+the pushes that reach least far, and goes on with all between the best of those.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric import ensemble as en
+from difffric.candidates import Scales
+from difffric.ensemble import Fits, Task
+
+SHAPED = {
+    "friction_waviness": ("wavelength_m", "phase_rad"),
+    "pusher_ripple": ("period_m", "phase_rad"),
+    "friction_patch": ("start_m", None),
+}
+"""id -> keys of its shape and of its phase"""
+SHORTEST = 2e-4
+"""wavelength [m] that is looked for"""
+MOST = 50
+"""Shapes in the first pass."""
+_AMPLITUDE = 1e-3
+"""Coordinate at which derivatives by the phase are taken: at the null there is none."""
+_LARGEST = 0.7
+_PEAKS, _STARTS = 3, 4
+
+
+def shape_starts(task: Task, base: Fits, effect: str, scales: Scales, some: NDArray) -> NDArray:
+    """(starts, numbers) coordinates of the effect's numbers from which a search may start.
+
+    `some`: numbers of the pushes that a scan looks at.
+    """
+    key, phase = SHAPED[effect]
+    names = [f"{effect}.amplitude", f"{effect}.{key}"]
+    names += [] if phase is None else [f"{effect}.{phase}"]
+    index = [task.model.coordinates.index(x) for x in names]
+    way = scales.ways if effect != "pusher_ripple" else np.full(task.n, scales.travel)
+    if phase is None:
+        shapes = np.linspace(0.03, 0.97, 16) * np.max(way)
+        found = _scores(task, base, index, shapes, some)
+        return found[1][np.argsort(-found[0])[:_STARTS]]
+    near = np.argsort(way, kind="stable")[: len(some)]
+    short, long = np.max(way[near]), np.max(way[some])
+    step = 1.0 / (3.0 * short)
+    last = min(1.0 / SHORTEST, 0.5 / short + MOST * step)
+    turns = np.arange(0.5 / short, last + step, step)
+    drop, _ = _scores(task, base, index, 1.0 / turns, near)
+    fine = 1.0 / (3.0 * long)
+    spread = np.arange(-0.5 * step, 0.5 * step + 1e-9, fine)
+    between = (turns[_peaks(drop)[:_PEAKS], None] + spread).ravel()
+    drop, starts = _scores(task, base, index, 1.0 / between[between > 0], some)
+    return starts[_peaks(drop)[:_STARTS]]
+
+
+def _peaks(values: NDArray) -> NDArray:
+    """Indices of local maxima, the largest first."""
+    padded = np.concatenate([[-np.inf], values, [-np.inf]])
+    top = np.flatnonzero((values >= padded[:-2]) & (values > padded[2:]))
+    return top[np.argsort(-values[top])]
+
+
+def _scores(task: Task, base: Fits, index: Sequence[int], shapes, pushes) -> tuple:
+    """(predicted drop (m,), coordinates of amplitude, shape and phase there (m, 2 or 3))."""
+    coordinates, m = task.model.coordinates, len(shapes)
+    amplitude, shape = index[:2]
+    free = [amplitude, *index[2:]]
+    unit = coordinates.unit[shape]
+    at = np.zeros((m, len(index)))
+    at[:, 0] = _AMPLITUDE if len(index) > 2 else 0.0
+    at[:, 1] = (shapes - coordinates.null[shape]) / unit
+    c = np.repeat(base.c, m, axis=0)
+    c[:, index] = at
+    whole = base.pick(np.zeros(m, int))
+    fits = replace(whole, extra=((*base.extra[0], *free),) * m, c=c, gram=None, residual=None)
+    found = en.normal(task, en.evaluated(task, fits, pushes))
+    known = found.H.shape[1] - len(free)
+    drop = np.zeros(m)
+    for j in range(m):
+        H, g = found.H[j], found.g[j]
+        scale = np.sqrt(np.maximum(np.diag(H), 1e-12))
+        A, r = H / np.outer(scale, scale), g / scale
+        solve = np.linalg.pinv(A[:known, :known], rcond=1e-12)
+        X = A[:known, known:]
+        S = A[known:, known:] - X.T @ solve @ X
+        left = r[known:] - X.T @ solve @ r[:known]
+        step = -np.linalg.lstsq(S, left, rcond=1e-6)[0]
+        drop[j] = -step @ left
+        step = step / scale[known:]
+        if len(index) > 2:  # a sin + b cos as amplitude and phase
+            sin, cos = _AMPLITUDE + step[0], _AMPLITUDE * step[1]
+            at[j, 0], at[j, 2] = np.hypot(sin, cos), np.arctan2(cos, sin)
+        else:
+            at[j, 0] = step[0]
+    largest = _LARGEST / coordinates.unit[amplitude]
+    at[:, 0] = np.clip(at[:, 0], -largest, largest)
+    return drop, at
