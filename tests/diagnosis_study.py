@@ -22,10 +22,10 @@ import numpy as np
 
 from tests import diagnosis_figures as figures
 from tests.hidden import case as cases
-from tests.hidden import heldout, random_case, write
+from tests.hidden import random_case, write
 from tests.hidden.outsiders import TABLE as OUTSIDERS
-from tests.study import PAGE, RESULTS, code, into, prepare
 from tests.reference.effect_parameters import NULLS
+from tests.study import RESULTS, code, prepare
 
 EFFECTS = tuple(NULLS)
 IN_RECORDINGS = tuple(e for e in EFFECTS if e not in cases.TABLE_ONLY and e != "normal_force")

@@ -95,7 +95,11 @@ def score_tests(task: Task, base: Fits, effects: Sequence[str]) -> dict[str, Sco
                 out[e] = Score(0.0, (0.0,) * len(own), 0.0)
                 continue
             step = -np.linalg.solve(S, r)
-            out[e] = Score(float(r @ -step), tuple(step.tolist()), float(np.sqrt(information)))
+            drop = float(r @ -step)
+            if len(own) == 1:  # bounded at its null: what leads out of bounds explains nothing
+                low, high = coordinates.bounds(coordinates.names[own[0]])
+                drop *= low <= base.c[0, own[0]] + step[0] <= high
+            out[e] = Score(drop, tuple(step.tolist()), float(np.sqrt(information)))
     return out
 
 
@@ -123,7 +127,7 @@ def starts_of(
         rows = shape_starts(task, base, effect, scales, some).tolist()
     else:
         for values in grid(effect, scales):
-            rows.append([coordinates.coordinate(name, x) for name, x in values.items()])
+            rows.append(coordinates.point(values))
     if effect in LOCAL:
         rows.append([base.c[0, i] for i in index])
         if score is not None and score.drop > 0:
@@ -179,21 +183,16 @@ def explore(
     by_score = sorted(range(fits.m), key=lambda j: -_drop(scores.get(effects[int(owner[j])])))
     leaders += [j for j in by_score[:_SCORED] if j not in leaders]
     fits, owner = fits.pick(leaders), owner[leaders]
-    # From where the scan led, and from where the score test does.
-    parts, behind = [replace(fits, gram=None, residual=None, damping=None)], [*owner]
-    for k in owner:
+    starts = _on_all(task, base, fits, effects, owner, some)
+    behind = np.tile(owner, 2)
+    for k in owner:  # and from where the score test leads
         score = scores.get(effects[int(k)])
         if score is not None and score.drop > 4:
             near = starts_of(task, base, effects[int(k)], scales, score, some)
-            parts.append(near.pick([near.m - 1]))
-            behind.append(k)
-        if effects[int(k)] in LOCAL:  # no fit is to end above the one that it extends
-            null = starts_of(task, base, effects[int(k)], scales, None, some)
-            parts.append(null.pick([null.m - 1]))
-            behind.append(k)
-    fits = refits.refitted(task, en.together(*parts), _ROUNDS)
+            starts, behind = en.together(starts, near.pick([near.m - 1])), np.append(behind, k)
+    fits, owner = _best_of_each(task, refits.refitted(task, starts, 2), behind)
+    fits = refits.refitted(task, fits, _ROUNDS)
     tell(0.95)
-    fits, owner = _best_of_each(task, fits, np.array(behind))
     value, before = en.criterion(task, fits), float(en.criterion(task, base)[0])
     out = []
     for j in range(fits.m):
@@ -207,6 +206,23 @@ def explore(
             )
         )  # fmt: skip
     return sorted(out, key=lambda c: -c.penalised_drop)
+
+
+def _on_all(task: Task, base: Fits, fits: Fits, effects, owner, some) -> Fits:
+    """Fits to some pushes as starts for all of them: as they are, each other push's own mu_s as
+    far beyond them as in `base`; and with nothing but the effect's numbers taken over."""
+    bare = replace(fits, gram=None, residual=None, damping=None)
+    now, before = ((f.mu[:, task.condition] + f.own) for f in (bare, base))
+    total = before + (now - before)[:, some].mean(axis=1, keepdims=True)
+    total[:, some] = now[:, some]
+    whole = replace(bare, own=total - bare.mu[:, task.condition])
+    back = base.pick(np.zeros(fits.m, int))
+    c = back.c.copy()
+    for j, k in enumerate(owner):
+        index = [task.model.coordinates.index(x) for x in numbers_of(effects[int(k)])]
+        c[j, index] = fits.c[j, index]
+    alone = replace(back, extra=fits.extra, c=c, gram=None, residual=None, damping=None)
+    return en.together(whole, alone)
 
 
 def _drop(score: Score | None) -> float:

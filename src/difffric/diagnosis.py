@@ -26,6 +26,7 @@ from difffric.diagnosis_data import beside, diagnosis_data
 from difffric.effects import CATALOGUE, RATIO
 from difffric.ensemble import Fits
 from difffric.errors import InputError, NumericalError, require_float64
+from difffric.extended_coordinates import PLAIN
 from difffric.fit_data import sensor_errors
 from difffric.friction import innermost
 from difffric.lack_of_fit import lack_of_fit
@@ -169,10 +170,8 @@ class _Diagnosis:
         self.folds = _folds(self.data.task.n)
         coordinates = self.data.task.model.coordinates
         c = start.c.copy()
-        extra = []
-        for name, value in known.items():
-            c[0, coordinates.index(name)] = coordinates.coordinate(name, value)
-            extra.append(coordinates.index(name))
+        extra = coordinates.indices(tuple(known))
+        c[0, extra] = coordinates.point(known)
         self.start = replace(start, c=c, extra=(tuple(extra),))
 
     def _there(self, named) -> set[str]:
@@ -273,13 +272,12 @@ class _Diagnosis:
         at = candidate.fits if base is None else base
         coordinates = task.model.coordinates
         columns = [*task.shared, *at.extra[0]]
-        errors = np.sqrt(np.diag(en.covariance(task, at)[0]))[task.conditions :]
-        found = {}
-        for name in numbers_of(effect):
-            i = coordinates.index(name)
-            key = "ratio" if effect == RATIO else name.partition(".")[2]
-            error = abs(coordinates.slope(name, at.c[0, i])) * errors[columns.index(i)]
-            found[key] = (coordinates.value(name, at.c[0, i]), float(error))
+        C = en.covariance(task, at)[0][task.conditions :, task.conditions :]
+        names = numbers_of(effect)
+        keys = ["ratio" if effect == RATIO else name.partition(".")[2] for name in names]
+        errors = coordinates.errors(at.c[0], names, columns, C)
+        pairs = zip(coordinates.values(at.c[0], names), errors, strict=True)
+        found = dict(zip(keys, pairs, strict=True))
         score = scores.get(effect)
         held = [
             refits.held_out(task, x, self.folds).surprise.sum() for x in (plain, candidate.fits)
@@ -309,18 +307,14 @@ class _Diagnosis:
         task = self.data.task
         coordinates = task.model.coordinates
         plain, _ = _stripped(self.setup.rig)
-        values = {
-            name: coordinates.value(name, base.c[0, coordinates.index(name)])
-            for name in coordinates.names[: len(parameters.RIG_PARAMETERS) - 1]
-            if name != "mu_s"
-        }
+        values = dict(zip(PLAIN, coordinates.values(base.c[0], PLAIN), strict=True))
         values["mu_s"] = float(np.exp(base.mu[0].mean()))
         rig = parameters.with_values(plain, values)
         inside: dict[str, dict[str, float]] = {}
-        for i in base.extra[0]:
-            effect, _, key = coordinates.names[i].partition(".")
+        names = [coordinates.names[i] for i in base.extra[0]]
+        for name, value in zip(names, coordinates.values(base.c[0], names), strict=True):
+            effect, _, key = name.partition(".")
             if key:
-                value = coordinates.value(coordinates.names[i], base.c[0, i])
                 inside.setdefault(effect, {})[key] = value
         return catalogue.extended(rig, inside)
 
@@ -328,14 +322,15 @@ class _Diagnosis:
         """The set-up as it is written: values, standard errors, what is free."""
         task = self.data.task
         coordinates = task.model.coordinates
-        errors = np.sqrt(np.diag(en.covariance(task, base)[0]))
+        C = en.covariance(task, base)[0][task.conditions :, task.conditions :]
         extras = dict(self.setup.extras)
         columns = [*task.shared, *base.extra[0]]
-        for j, i in enumerate(columns):
-            name = coordinates.names[i]
-            error = abs(coordinates.slope(name, base.c[0, i])) * errors[task.conditions + j]
+        names = [coordinates.names[i] for i in columns]
+        for name, error in zip(
+            names, coordinates.errors(base.c[0], names, columns, C), strict=True
+        ):
             known = extras.get(name, Extras())
-            extras[name] = Extras(float(error), True, known.lower, known.upper)
+            extras[name] = Extras(error, True, known.lower, known.upper)
         scatter = float(base.scatter[0]) if task.mu_free else self.setup.mu_s_scatter
         return Setup(rig, scatter, extras)
 

@@ -11,7 +11,8 @@ from difffric.blocks import stacked_blocks
 from difffric.candidates import Scales, numbers_of
 from difffric.effects import CATALOGUE, RATIO
 from difffric.ensemble import Fits, Task
-from difffric.extended_model import PLAIN, Coordinates, ExtendedModel, Pushes, without
+from difffric.extended_coordinates import PLAIN, Coordinates
+from difffric.extended_model import ExtendedModel, Pushes, without
 from difffric.fit_data import strokes_of
 from difffric.fitted import Fit
 from difffric.pushes import Pushes as Measured
@@ -138,8 +139,7 @@ def beside(data: DiagnosisData, fit: Fit) -> tuple[DiagnosisData, Fits]:
     )
     c = np.zeros((1, len(coordinates.names)))
     values = parameters.values(fit.rig)
-    for name in PLAIN:
-        c[0, coordinates.index(name)] = coordinates.coordinate(name, float(values[name]))
+    c[0, coordinates.indices(PLAIN)] = coordinates.point({n: float(values[n]) for n in PLAIN})
     log_mu = np.log(fit.mu_s)
     mu = np.array([[log_mu[task.condition == k].mean() for k in range(task.conditions)]])
     own = (log_mu - mu[0, task.condition])[None]

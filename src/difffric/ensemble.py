@@ -265,12 +265,11 @@ def rescattered(task: Task, fits: Fits) -> Fits:
     parts = parts_of(task, fits)
     values = []
     for s in _SCATTERS:
+        # Where the shared parameters stand: where a step would lead is not to be trusted yet.
         found = normal(task, fits, np.full(fits.m, s), parts)
-        step = solve(found.H, found.g)
-        gain = np.einsum("mp,mp->m", step, found.g)
         A, scale = _scaled(found.H)
         volume = np.linalg.slogdet(A)[1] + 2 * np.log(scale).sum(1)
-        values.append(found.cost + gain + np.log1p(s**2 * found.z).sum(axis=1) + volume)
+        values.append(found.cost + np.log1p(s**2 * found.z).sum(axis=1) + volume)
     return replace(fits, scatter=_SCATTERS[np.argmin(values, axis=0)])
 
 

@@ -23,14 +23,12 @@ from numpy.typing import NDArray
 from difffric import effects, parameters
 from difffric.blocks import Blocks
 from difffric.compiling import soon_compiled
+from difffric.extended_coordinates import Coordinates
 from difffric.observables import marched, observe
 from difffric.path import follow_together
 from difffric.rig import Rig
 from difffric.runge_kutta import RungeKutta
 
-PLAIN = ("mu_s", "mu_k_over_mu_s", "k_v_N_s_per_m", "k_N_per_m", "b_N_s_per_m")
-"""Coordinates of the plain model: logarithms, and k_v in units of `K_V`."""
-K_V = 10.0
 BATCH = 16
 """Pairs that one call answers for."""
 STEPS = 320
@@ -39,95 +37,6 @@ TOLERANCE = 1e-7
 """Of a step: far below what measured pushes let see."""
 
 Array = Any
-
-
-@dataclass(frozen=True)
-class Coordinates:
-    """How a vector of numbers stands for an extended rig. Effects' coordinates are 0 at the null
-    and of order 1 at a size that one may meet."""
-
-    names: tuple[str, ...]
-    null: tuple[float, ...]
-    unit: tuple[float, ...]
-
-    @classmethod
-    def of(cls, rig: Rig) -> Coordinates:
-        """Of the plain parameters and of all effects' numbers that the rig has."""
-        extra = effects.parameter_names(rig)
-        keys = [effects.KEYS[name][1] for name in extra]
-        null = [_finite(key.to_law(key.null)) for key in keys]
-        size = [abs(key.to_law(key.typical) - x) for key, x in zip(keys, null, strict=True)]
-        return cls(
-            (*PLAIN, *extra),
-            (0.0,) * len(PLAIN) + tuple(null),
-            (1.0, 1.0, K_V, 1.0, 1.0, *(s if s > 0 else 1.0 for s in size)),
-        )
-
-    def index(self, name: str) -> int:
-        """Where a name stands."""
-        return self.names.index(name)
-
-    def coordinate(self, name: str, value: float) -> float:
-        """The coordinate of a value [SI, as files write it]."""
-        i = self.index(name)
-        if name not in PLAIN:
-            value = _finite(effects.KEYS[name][1].to_law(value))
-        elif name != "k_v_N_s_per_m":
-            return float(np.log(max(value, 1e-12)))
-        return float((value - self.null[i]) / self.unit[i])
-
-    def value(self, name: str, coordinate: float) -> float:
-        """The value [SI, as files write it] of a coordinate."""
-        i = self.index(name)
-        number = self.null[i] + self.unit[i] * coordinate
-        if name in PLAIN:
-            return float(number if name == "k_v_N_s_per_m" else np.exp(coordinate))
-        return float(effects.KEYS[name][1].to_law(float(number)))
-
-    def slope(self, name: str, coordinate: float) -> float:
-        """d value / d coordinate."""
-        i = self.index(name)
-        if name in PLAIN:
-            return float(K_V if name == "k_v_N_s_per_m" else np.exp(coordinate))
-        number = self.null[i] + self.unit[i] * coordinate
-        inverse = effects.KEYS[name][1].inverse
-        return float(-self.unit[i] / number**2 if inverse and number else self.unit[i])
-
-    def bounds(self, name: str) -> tuple[float, float]:
-        """Between which coordinates a number makes sense."""
-        if name == "k_v_N_s_per_m":
-            return 0.0, np.inf
-        if name == "mu_k_over_mu_s":
-            return -np.inf, 0.0
-        if name in PLAIN:
-            return -np.inf, np.inf
-        key = effects.KEYS[name][1]
-        if key.inverse:
-            return 0.0, np.inf
-        i = self.index(name)
-        ends = [(x - self.null[i]) / self.unit[i] for x in (key.lower, key.upper)]
-        return min(ends), max(ends)
-
-    def rig(self, rig: Rig, c) -> Rig:
-        """The rig at coordinates c; traceable."""
-        numbers = {}
-        for i, name in enumerate(self.names):
-            if name == "k_v_N_s_per_m":
-                numbers[name] = K_V * c[i]
-            elif name in PLAIN:
-                numbers[name] = jnp.exp(c[i])
-            else:
-                numbers[name] = self.null[i] + self.unit[i] * c[i]
-        at = parameters.with_values(rig, {n: numbers[n] for n in PLAIN})
-        return effects.with_numbers(at, {n: numbers[n] for n in self.names[len(PLAIN) :]})
-
-
-_HUGE = 1e6
-
-
-def _finite(x: float) -> float:
-    """A level that nothing reaches, where the null is none."""
-    return float(np.clip(x, -_HUGE, _HUGE))
 
 
 class Pushes(NamedTuple):

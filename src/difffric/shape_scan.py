@@ -29,7 +29,7 @@ SHORTEST = 2e-4
 MOST = 50
 """Shapes in the first pass."""
 _AMPLITUDE = 1e-3
-"""Coordinate at which derivatives by the phase are taken: at the null there is none."""
+"""Coordinate of the sine where derivatives are taken: at the null the cosine has none."""
 _LARGEST = 0.7
 _PEAKS, _STARTS = 3, 4
 
@@ -95,11 +95,8 @@ def _scores(task: Task, base: Fits, index: Sequence[int], shapes, pushes) -> tup
         step = -np.linalg.lstsq(S, left, rcond=1e-6)[0]
         drop[j] = -step @ left
         step = step / scale[known:]
-        if len(index) > 2:  # a sin + b cos as amplitude and phase
-            sin, cos = _AMPLITUDE + step[0], _AMPLITUDE * step[1]
-            at[j, 0], at[j, 2] = np.hypot(sin, cos), np.arctan2(cos, sin)
-        else:
-            at[j, 0] = step[0]
-    largest = _LARGEST / coordinates.unit[amplitude]
-    at[:, 0] = np.clip(at[:, 0], -largest, largest)
+        at[j, [0, *range(2, len(index))]] += step
+    size = np.abs(at[:, 0]) if len(index) == 2 else np.hypot(at[:, 0], at[:, 2])
+    shrink = np.minimum(1.0, _LARGEST / coordinates.unit[amplitude] / np.maximum(size, 1e-12))
+    at[:, [0, *range(2, len(index))]] *= shrink[:, None]
     return drop, at
