@@ -72,7 +72,7 @@ BRANCHES = {  # component -> everything that a push asks of its law
         "interval": lambda law: law.interval,
     },
     "probe": {
-        "scale": lambda law: law.scale,
+        "read": lambda law: law.read(2 * T),
         "threshold": lambda law: law.threshold,
         "delay": lambda law: law.delay,
     },

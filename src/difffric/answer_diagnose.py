@@ -58,7 +58,11 @@ def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
         f"{number(g.after, 3)} after ({number(g.noise_floor, 3)} is perfect)."
     )
     if found.location:
-        summary.append(f"The misfit sits in: {found.location}.")
+        where = found.location
+        summary.append(
+            f"The misfit sits in: {where.component.replace('_', ' ')}. A curve over the "
+            f"{where.quantity} explains {100 * where.explained[where.form]:.0f} % of it."
+        )
     sections = []
     if found.causes:
         table = Table("Causes, in the order added", _COLUMNS, [_row(c) for c in found.causes])
@@ -80,6 +84,14 @@ def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
                 Picture(
                     "residuals", "Residuals of the pushes that the plain model fits worst "
                     "(red: plain, blue: with its causes).", figures_diagnose.residuals(found),
+                )
+            )  # fmt: skip
+        if found.location:
+            drawn.append(
+                Picture(
+                    "location", "What each component would explain if it were free to bend, and "
+                    "the correction of the one that explains most.",
+                    figures_diagnose.location(found.location),
                 )
             )  # fmt: skip
         sections.append(Section("Where the misfit sits", pictures=tuple(drawn)))

@@ -32,6 +32,8 @@ class Scales:
     """how far the part gets [m]"""
     travel: float
     """how far the tip does, about [m]"""
+    compression: float
+    """of the contact at the peak [m]"""
     ways: NDArray
     """(n,) how far the part gets in each push, about [m]"""
 

@@ -178,7 +178,7 @@ def explore(
     fits, owner = _best_of_each(task, fits, owner)
     fits = refits.refitted(task, fits, 4, some)
     tell(0.65)
-    subset_cost = en.penalised(fits)
+    subset_cost = en.penalised(task, fits)
     leaders = list(np.argsort(subset_cost)[: 2 * _LEADERS if quick else _LEADERS])
     by_score = sorted(range(fits.m), key=lambda j: -_drop(scores.get(effects[int(owner[j])])))
     leaders += [j for j in by_score[:_SCORED] if j not in leaders]

@@ -30,6 +30,7 @@ from difffric.extended_coordinates import PLAIN
 from difffric.fit_data import sensor_errors
 from difffric.friction import innermost
 from difffric.lack_of_fit import lack_of_fit
+from difffric.location import locate
 from difffric.pushes import Pushes
 from difffric.recordings import Recordings
 from difffric.reduction import reduce_recordings
@@ -97,7 +98,7 @@ class _Diagnosis:
         self._prepare()
         data, task = self.data, self.data.task
         plain = base = refits.refitted(task, self.start, 20)
-        if (en.penalised(base) >= en.REJECTED).any():
+        if (en.penalised(task, base) >= en.REJECTED).any():
             raise NumericalError(
                 "diagnose: the fitted plain model could not be followed through every push"
             )
@@ -221,11 +222,13 @@ class _Diagnosis:
         error = [float(np.sqrt(h.sum() / numbers)) for h in held]
         gain = Gain(error[0], error[1], floor)
         scale = total or max(before.excess, 1.0)
+        location = None
         misfit = after.p_value is not None and after.p_value < SIGNIFICANT
         if misfit and np.sqrt(max(after.excess, 0.0) / scale) > LEFT:
             named, base, gain = [], plain, replace(gain, after=gain.before)
             verdict = UNEXPLAINED
-            self.notes.append("in which component the misfit sits is not looked into yet")
+            self.tell("looking for the component", 0.92)
+            location = locate(task, plain, self.data.scales, before.excess)
         elif not named:
             verdict = ADEQUATE
         else:
@@ -239,7 +242,7 @@ class _Diagnosis:
             p_value=before.p_value,
             causes=causes,
             negligible=tuple(self._cause(plain, c, (), scores) for c in small),
-            location=None,
+            location=location,
             gain=gain,
             not_visible=self._not_visible(scores, {c.effect for c, _ in named}),
             impossible=self.data.impossible,
@@ -307,7 +310,9 @@ class _Diagnosis:
         task = self.data.task
         coordinates = task.model.coordinates
         plain, _ = _stripped(self.setup.rig)
-        values = dict(zip(PLAIN, coordinates.values(base.c[0], PLAIN), strict=True))
+        values: dict[str, float] = dict(
+            zip(PLAIN, coordinates.values(base.c[0], PLAIN), strict=True)
+        )
         values["mu_s"] = float(np.exp(base.mu[0].mean()))
         rig = parameters.with_values(plain, values)
         inside: dict[str, dict[str, float]] = {}

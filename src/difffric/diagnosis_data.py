@@ -118,6 +118,7 @@ def _scales(rig: Rig, measured: Measured, strokes, mass) -> Scales:
     return Scales(
         mass=float(mass.mean()), mu_s=mu, fastest=float(measured.velocity.max()),
         slowest=float(measured.velocity.min()), peak=peak, reach=travel + slid, travel=travel,
+        compression=1.2 * contact,
         ways=np.where(np.isfinite(strokes), strokes, travel) + np.nan_to_num(d),
     )  # fmt: skip
 

@@ -39,6 +39,8 @@ class Task:
     """whether mu_s scatters by as much as the data say, or by as much as the fits have"""
     open_spread: tuple[bool, bool] = (False, False)
     """whether the noise of force and of distance is to be estimated"""
+    prior: Any = None
+    """(K,) precision about zero of coordinates whose smallness is assumed; None: nothing is"""
     counts: NDArray = field(default_factory=lambda: np.ones((1, 2)))
     """(n, 2) numbers (samples, or measurements) of each push and channel"""
 
@@ -202,14 +204,26 @@ def normal(task: Task, fits: Fits, scatter=None, parts=None) -> Normal:
     H, h, z, g, gm, rr = parts_of(task, fits) if parts is None else parts
     s = fits.scatter if scatter is None else scatter
     weight = 1.0 / (z + 1.0 / s[:, None] ** 2)
+    precision, at = _prior(task, fits, H.shape[-1])
+    assumed = precision[:, :, None] * np.eye(H.shape[-1])
     return Normal(
-        H=(H - np.einsum("mnp,mnq,mn->mnpq", h, h, weight)).sum(axis=1),
-        g=(g - h * (gm * weight)[:, :, None]).sum(axis=1),
-        cost=(rr - gm**2 * weight).sum(axis=1),
+        H=(H - np.einsum("mnp,mnq,mn->mnpq", h, h, weight)).sum(axis=1) + assumed,
+        g=(g - h * (gm * weight)[:, :, None]).sum(axis=1) + precision * at,
+        cost=(rr - gm**2 * weight).sum(axis=1) + (precision * at**2).sum(axis=1),
         z=z,
         h=h,
         gm=gm,
     )
+
+
+def _prior(task: Task, fits: Fits, P: int) -> tuple[NDArray, NDArray]:
+    """(m, P) precision and values of what is assumed to be small."""
+    precision, at = np.zeros((2, fits.m, P))
+    if task.prior is not None:
+        for j, extra in enumerate(fits.extra):
+            mine = task.conditions + len(task.shared) + np.arange(len(extra))
+            precision[j, mine], at[j, mine] = task.prior[list(extra)], fits.c[j, list(extra)]
+    return precision, at
 
 
 def _scaled(H: NDArray) -> tuple[NDArray, NDArray]:
@@ -236,7 +250,7 @@ def solve(H: NDArray, g: NDArray, damping=0.0) -> NDArray:
 def criterion(task: Task, fits: Fits) -> NDArray:
     """(m,) -2 times the log likelihood where the fits stand, their own mu_s averaged over: sum of
     squares, and what the scatter and the spreads that were estimated cost."""
-    return penalised(fits) + _volume(task, fits, normal(task, fits).z)
+    return penalised(task, fits) + _volume(task, fits, normal(task, fits).z)
 
 
 def _volume(task: Task, fits: Fits, z) -> NDArray:
@@ -277,9 +291,11 @@ def _rss(task: Task, fits: Fits, channel: int) -> NDArray:
     return fits.gram[:, :, channel, -1, -1].sum(axis=1)
 
 
-def penalised(fits: Fits) -> NDArray:
+def penalised(task: Task, fits: Fits) -> NDArray:
     """(m,) the sum of squares with each push's own mu_s as it is."""
     rss = np.einsum("mnk,mk->m", fits.gram[..., -1, -1], 1.0 / fits.spread**2)
+    if task.prior is not None:
+        rss = rss + (task.prior * fits.c**2).sum(axis=1)
     return rss + (fits.own**2).sum(axis=1) / fits.scatter**2
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric import effects, parameters
+from difffric import effects, free_form, parameters
 from difffric.effects import CATALOGUE, KEYS
 from difffric.rig import Rig
 
@@ -22,6 +22,8 @@ WAVES = {
 }
 """Amplitude -> phase of an effect that waves. Their coordinates are those of its sine and cosine,
 in which a model is nearly linear; a phase is not, beside a small amplitude."""
+FORMED = tuple(name for form in free_form.FORMS for name in free_form.names(form))
+"""Coefficients of the free forms, which are coordinates themselves."""
 _HUGE = 1e6
 
 
@@ -58,7 +60,7 @@ class Coordinates:
         """Where names stand."""
         return [self.names.index(name) for name in names]
 
-    def point(self, values: Mapping[str, float]) -> list[float]:
+    def point(self, values: Mapping[str, Any]) -> list[float]:
         """The coordinates of these values [SI, as files write them]; of what waves, amplitude and
         phase together."""
         out = {}
@@ -83,8 +85,9 @@ class Coordinates:
 
     def errors(self, c: NDArray, names: Sequence[str], free: Sequence[int], covariance) -> list:
         """Standard errors of the values of some names, from the covariance of the free
-        coordinates."""
+        coordinates (which may have further columns behind them)."""
         J = self._values(c, names)[1][:, list(free)]
+        covariance = covariance[: len(free), : len(free)]
         return np.sqrt(np.einsum("ij,jk,ik->i", J, covariance, J)).tolist()
 
     def _values(self, c, names):
@@ -100,7 +103,7 @@ class Coordinates:
             elif name in PLAIN:
                 value[row] = slope[row, i] = np.exp(c[i])
             elif name in WAVES or name in phases:
-                amplitude = phases.get(name, name)
+                amplitude = name if name in WAVES else phases[name]
                 a, b = self.indices((amplitude, WAVES[amplitude]))
                 size, unit = max(np.hypot(c[a], c[b]), 1e-12), self.unit[a]
                 if name in WAVES:
@@ -122,7 +125,7 @@ class Coordinates:
             return 0.0, np.inf
         if name == "mu_k_over_mu_s":
             return -np.inf, 0.0
-        if name in PLAIN:
+        if name in PLAIN or name in FORMED:
             return -np.inf, np.inf
         name = next((a for a, phase in WAVES.items() if phase == name), name)
         key = KEYS[name][1]
@@ -135,7 +138,8 @@ class Coordinates:
     def rig(self, rig: Rig, c) -> Rig:
         """The rig at coordinates c; traceable."""
         numbers: dict[str, Any] = {}
-        for i, name in enumerate(self.names):
+        known = [name for name in self.names if name in PLAIN or name in KEYS]
+        for i, name in enumerate(known):
             if name == "k_v_N_s_per_m":
                 numbers[name] = K_V * c[i]
             elif name in PLAIN:
@@ -148,7 +152,17 @@ class Coordinates:
                     zip((amplitude, phase), _polar(numbers[amplitude], numbers[phase]), strict=True)
                 )
         at = parameters.with_values(rig, {n: numbers[n] for n in PLAIN})
-        return effects.with_numbers(at, {n: numbers[n] for n in self.names[len(PLAIN) :]})
+        at = effects.with_numbers(at, {n: numbers[n] for n in known[len(PLAIN) :]})
+        if len(known) == len(self.names):
+            return at
+        shape = len(free_form.FORMS), free_form.SPLINES
+        rows = c[len(known) :].reshape(shape)
+        return free_form.with_coefficients(at, dict(zip(free_form.FORMS, rows, strict=True)))
+
+    def with_forms(self) -> Coordinates:
+        """With the coefficients of all free forms behind them."""
+        none = (0.0,) * len(FORMED)
+        return Coordinates((*self.names, *FORMED), (*self.null, *none), (*self.unit, *none))
 
 
 def _polar(sine, cosine):

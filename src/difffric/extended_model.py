@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -189,15 +189,22 @@ class ExtendedModel:
         structure = jax.tree.structure(example)
         return _compiled(self.coordinates, self.recordings, structure, shapes)
 
+    @cached_property
+    def _wider(self) -> ExtendedModel:
+        """For more causes at once than one mostly meets: a program of its own."""
+        return replace(self, directions=2 * self.directions)
+
     def compile(self) -> None:
         """Make the program ready; may be left to another thread."""
         _ = self._compiled
 
     def answers(self, index: NDArray, c: NDArray, directions: NDArray) -> Answer:
-        """For N pairs: pushes `index` (N,), coordinates (N, K), directions (N, D, K) or (D, K),
-        D at most `directions`. NumPy arrays come back, Gram matrices of D + 1 columns."""
+        """For N pairs: pushes `index` (N,), coordinates (N, K), directions (N, D, K) or (D, K).
+        NumPy arrays come back, Gram matrices of D + 1 columns."""
         N, K = c.shape
         directions = np.broadcast_to(directions, (N, *np.shape(directions)[-2:]))
+        if directions.shape[1] > self.directions:
+            return self._wider.answers(index, c, directions)
         # A batch goes on for as long as its longest push: alike ones together.
         order = np.lexsort((index, np.asarray(self.pushes.velocity)[index]))
         index, c, directions = index[order], c[order], directions[order]

@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from difffric.figures import STYLE, new_figure
+from difffric.location import Location
 from difffric.units import to_mm_min
 from difffric.verdict import Diagnosis
 
@@ -66,4 +67,26 @@ def residuals(found: Diagnosis, shown: int = 3) -> Figure:
                     ax.set_xlabel("time [ms]")
         axes[0, 0].set_ylabel("force residual\n[standard deviations]")
         axes[1, 0].set_ylabel("position residual\n[standard deviations]")
+    return figure
+
+
+def location(found: Location) -> Figure:
+    """What each free form explains, and the best one's curve with its band."""
+    with matplotlib.rc_context(STYLE):
+        figure, axes = new_figure(2, 9.6, 3.6)
+        names = sorted(found.explained, key=lambda name: found.explained[name])
+        colours = [_AFTER if name == found.form else "0.7" for name in names]
+        shares = [100 * found.explained[name] for name in names]
+        axes[0].barh([name.replace("_", " ") for name in names], shares, color=colours)
+        axes[0].set(xlabel="share of the misfit that it explains [%]", xlim=(0, 100))
+        scale, unit = (1e3, "m" + found.unit) if found.unit != "N" else (1.0, "N")
+        x, y, se = scale * found.x, 100 * found.correction, 100 * found.standard_error
+        axes[1].fill_between(x, y - 2 * se, y + 2 * se, color=_AFTER, alpha=0.2, lw=0)
+        axes[1].plot(x, y, color=_AFTER)
+        axes[1].axhline(0.0, color="0.5", lw=0.8)
+        room = 0.3 * np.ptp(y) + 1e-9
+        axes[1].set(
+            xlabel=f"{found.quantity} [{unit}]", ylabel="correction [%]", xlim=(0, x[-1]),
+            ylim=(y.min() - room, y.max() + room), title=found.form.replace("_", " "),
+        )  # fmt: skip
     return figure

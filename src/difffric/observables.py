@@ -96,7 +96,7 @@ def marched(marcher: Marcher, m: March) -> Observables:
         x_lost = jnp.where(m.sensed.crossed, m.sensed.x_lost, x_lost)
     return Observables(
         peak_force=jnp.where(too_many | lost_track, jnp.nan, sensor.read(peak)),
-        sliding_distance=jnp.where(reason != sim.OK, jnp.nan, probe.scale * (x - x_lost)),
+        sliding_distance=jnp.where(reason != sim.OK, jnp.nan, probe.read(x) - probe.read(x_lost)),
         reason=reason,
         regime=regime,
         stuck_first=m.stuck_first,
@@ -141,7 +141,7 @@ def observables(push: sim.Push, state: sim.State) -> Observables:
     )
     counts = state.contacts, state.sticks, state.peak_contact
     peak = push.rig.force_sensor.read(state.peak)
-    slid = push.rig.probe.scale * state.slid
+    slid = push.rig.probe.read(state.slid)
     return Observables(
         peak_force=jnp.where(lost_track | too_many | too_long, jnp.nan, peak),
         sliding_distance=jnp.where(reason != sim.OK, jnp.nan, slid),

@@ -56,7 +56,7 @@ class Path(NamedTuple):
         sensor, probe = self.motion.rig.force_sensor, self.motion.rig.probe
         force = jnp.vectorize(self.filtered)(t_force)
         at = jnp.vectorize(lambda time: self.evaluate(time)[1])
-        return sensor.read(force), probe.scale * at(t_position - probe.delay)
+        return sensor.read(force), probe.read(at(t_position - probe.delay))
 
     def filtered(self, time):
         """The force that the sensor's filters let through [N]."""

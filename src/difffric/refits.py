@@ -94,7 +94,7 @@ def refitted(
             break
         at = fits.pick(which)
         trial = en.evaluated(task, moved(task, at, damping[which]), pushes)
-        before, after = en.penalised(at), en.penalised(trial)
+        before, after = en.penalised(task, at), en.penalised(task, trial)
         better = after < before
         gain = before - after
         damping[which] = np.where(better, np.maximum(damping[which] / 8, 1e-9), damping[which] * 8)

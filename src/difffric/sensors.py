@@ -174,10 +174,9 @@ class Probe(eqx.Module):
     late: ClassVar[bool] = False
     """whether a distance starts anywhere but at the loss of contact"""
 
-    @property
-    def scale(self):
-        """Reading / position."""
-        return 1.0
+    def read(self, x):
+        """The reading [m] of a position x [m] since the start of the push."""
+        return x
 
     @property
     def threshold(self):
@@ -207,9 +206,8 @@ class ProbeEffect(eqx.Module):
     def late(self) -> bool:
         return self.law.late
 
-    @property
-    def scale(self):
-        return self.law.scale
+    def read(self, x):
+        return self.law.read(x)
 
     @property
     def threshold(self):
@@ -225,9 +223,8 @@ class ProbeScale(ProbeEffect):
 
     factor: Number = 1.0
 
-    @property
-    def scale(self):
-        return self.factor * self.law.scale
+    def read(self, x):
+        return self.factor * self.law.read(x)
 
 
 class ReleaseThreshold(ProbeEffect):

@@ -121,7 +121,7 @@ def _read(trajectory: Trajectory, t_force, t_position):
         return trajectory.path.read(t_force, t_position)
     sensor, probe = trajectory.push.rig.force_sensor, trajectory.push.rig.probe
     force = _evaluate(trajectory, t_force)[0]
-    return sensor.read(force), probe.scale * _evaluate(trajectory, t_position - probe.delay)[1]
+    return sensor.read(force), probe.read(_evaluate(trajectory, t_position - probe.delay)[1])
 
 
 def _segments(path: Path) -> Segment:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from difffric.fitted import Fit
+from difffric.location import Location
 from difffric.rig import Rig
 from difffric.setup_file import Setup
 
@@ -80,7 +81,7 @@ class Diagnosis:
     """of the lack of fit of the plain model"""
     causes: tuple[Cause, ...]
     negligible: tuple[Cause, ...]
-    location: str | None
+    location: Location | None
     gain: Gain
     not_visible: tuple[str, ...]
     impossible: dict[str, str]
@@ -104,7 +105,8 @@ class Diagnosis:
             "lack_of_fit": {"p_value": self.p_value},
             "causes": [cause.as_dict() for cause in self.causes],
             "negligible": [cause.as_dict() for cause in self.negligible],
-            "location": self.location,
+            "location": None if self.location is None else self.location.component,
+            "shape": None if self.location is None else self.location.as_dict(),
             "gain": self.gain.as_dict(),
             "not_visible": list(self.not_visible),
             "impossible": dict(self.impossible),
@@ -132,7 +134,8 @@ class Diagnosis:
             f"{g.after:.3g} after ({g.noise_floor:.3g} is perfect)"
         )
         if self.location:
-            lines.append(f"    the misfit sits in: {self.location}")
+            where = self.location
+            lines.append(f"    the misfit sits in: {where.component}, over the {where.quantity}")
         if self.not_visible:
             lines.append(f"    not visible with these data: {', '.join(self.not_visible)}")
         return "\n".join([*lines, *(f"    note: {note}" for note in self.notes)])
