@@ -111,6 +111,7 @@ def run_case(group: str, i: int, keep: Path | None = None) -> dict:
         return {**line, "skipped": str(error)}
     line |= {"kind": case.kind, "effects": dict(case.effects), "outsider": dict(case.outsider)}
     line["components"] = list(case.components)
+    line["s"] = strength(case) if case.hidden else 0.0
     with tempfile.TemporaryDirectory() as empty:
         folder = keep or Path(empty)
         path = write(case, folder)

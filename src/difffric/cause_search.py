@@ -202,7 +202,7 @@ def explore(
         out.append(
             Candidate(
                 effect, fits.pick([j]), drop, _drop(scores.get(effect)),
-                p_value(effect, drop, len(effects)), drop - k * _price(task),
+                p_value(effect, drop, len(effects)), drop - k * task.price,
             )
         )  # fmt: skip
     return sorted(out, key=lambda c: -c.penalised_drop)
@@ -227,11 +227,6 @@ def _on_all(task: Task, base: Fits, fits: Fits, effects, owner, some) -> Fits:
 
 def _drop(score: Score | None) -> float:
     return 0.0 if score is None else score.drop
-
-
-def _price(task: Task) -> float:
-    """What one number must buy in -2 log likelihood (Schwarz's criterion)."""
-    return float(np.log(max(task.counts.sum(), 2.0)))
 
 
 def p_value(effect: str, drop: float, effects: int) -> float:

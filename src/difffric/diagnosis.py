@@ -30,7 +30,7 @@ from difffric.extended_coordinates import PLAIN
 from difffric.fit_data import sensor_errors
 from difffric.friction import innermost
 from difffric.lack_of_fit import lack_of_fit
-from difffric.location import locate
+from difffric.location import Location, locate
 from difffric.pushes import Pushes
 from difffric.recordings import Recordings
 from difffric.reduction import reduce_recordings
@@ -128,7 +128,8 @@ class _Diagnosis:
                 small += [c for c in found if c.penalised_drop > 0]
                 break
             named.append((best, tuple(found)))
-            base = best.fits
+            # Strong effects take many steps: what is left has to be the best fit's.
+            base = refits.refitted(task, best.fits, 40)
             named, base = self._without_needless(plain, named, base)
         return self._result(plain, base, before, named, small, first_scores, total)
 
@@ -222,13 +223,10 @@ class _Diagnosis:
         error = [float(np.sqrt(h.sum() / numbers)) for h in held]
         gain = Gain(error[0], error[1], floor)
         scale = total or max(before.excess, 1.0)
-        location = None
-        misfit = after.p_value is not None and after.p_value < SIGNIFICANT
-        if misfit and np.sqrt(max(after.excess, 0.0) / scale) > LEFT:
+        location = self._unexplained(plain, base, before, after, len(named), scale)
+        if location is not None:
             named, base, gain = [], plain, replace(gain, after=gain.before)
             verdict = UNEXPLAINED
-            self.tell("looking for the component", 0.92)
-            location = locate(task, plain, self.data.scales, before.excess)
         elif not named:
             verdict = ADEQUATE
         else:
@@ -253,6 +251,22 @@ class _Diagnosis:
             notes=(*self.fit.notes, *self.notes),
             work=(self.data, plain, base, before, after),
         )
+
+    def _unexplained(self, plain, base, before, after, named, scale) -> Location | None:
+        """Where the misfit sits if the causes do not explain it: too much is left of it, or one
+        component that may bend freely explains it better than all of them."""
+        task = self.data.task
+        misfit = after.p_value is not None and after.p_value < SIGNIFICANT
+        left = np.sqrt(max(after.excess, 0.0) / scale) if misfit else 0.0
+        if left < self.share and named < 2:
+            return None
+        self.tell("looking for the component", 0.92)
+        found = locate(task, plain, self.data.scales, before.excess)
+        drop = float(en.criterion(task, plain)[0] - en.criterion(task, base)[0])
+        numbers = len(base.extra[0]) - len(plain.extra[0])
+        if left > LEFT or found.penalised_drop > drop - numbers * task.price:
+            return found
+        return None
 
     def _alike(self, best: Candidate, others: Sequence[Candidate]) -> tuple[str, ...]:
         return tuple(

@@ -50,6 +50,11 @@ class Task:
         return len(self.condition)
 
     @property
+    def price(self) -> float:
+        """What one number must buy in -2 log likelihood (Schwarz's criterion)."""
+        return float(np.log(max(self.counts.sum(), 2.0)))
+
+    @property
     def conditions(self) -> int:
         """How many there are."""
         return int(self.condition.max()) + 1
@@ -250,7 +255,8 @@ def solve(H: NDArray, g: NDArray, damping=0.0) -> NDArray:
 def criterion(task: Task, fits: Fits) -> NDArray:
     """(m,) -2 times the log likelihood where the fits stand, their own mu_s averaged over: sum of
     squares, and what the scatter and the spreads that were estimated cost."""
-    return penalised(task, fits) + _volume(task, fits, normal(task, fits).z)
+    found = normal(task, fits)
+    return found.cost + _volume(task, fits, found.z)
 
 
 def _volume(task: Task, fits: Fits, z) -> NDArray:

@@ -36,6 +36,8 @@ class Location:
     standard_error: NDArray
     explained: dict[str, float]
     """form -> share of the excess of chi-square that it explains"""
+    penalised_drop: float
+    """of -2 log likelihood, less what so many numbers would buy in any case"""
 
     def as_dict(self) -> dict[str, Any]:
         """As `result.json` holds it."""
@@ -72,14 +74,14 @@ def locate(task: Task, plain: Fits, scales: Scales, excess: float) -> Location:
     at = replace(start, extra=tuple(extra), c=c, gram=None, residual=None, damping=None)
     at = refits.refitted(wide, at, _ROUNDS)
     drop = float(en.criterion(task, plain)[0]) - en.criterion(wide, at)
-    price = np.array([len(x) for x in extra]) * np.log(max(task.counts.sum(), 2.0))
+    price = np.array([len(x) - len(plain.extra[0]) for x in extra]) * task.price
     best = int(np.argmax(drop - price))
     name = list(FORMS)[best]
     explained = dict(zip(FORMS, np.clip(drop / max(excess, 1.0), 0, 1).tolist(), strict=True))
-    return _told(wide, at.pick([best]), name, scales, explained)
+    return _told(wide, at.pick([best]), name, scales, explained, float((drop - price)[best]))
 
 
-def _told(task: Task, at: Fits, name: str, scales: Scales, explained) -> Location:
+def _told(task: Task, at: Fits, name: str, scales: Scales, explained, drop) -> Location:
     form = FORMS[name]
     x = np.linspace(0.0, form.over(scales)[0], POINTS)
     B = free_form.basis(name, scales, x)
@@ -89,5 +91,5 @@ def _told(task: Task, at: Fits, name: str, scales: Scales, explained) -> Locatio
     C = en.covariance(task, at)[0][np.ix_(mine, mine)]
     return Location(
         form.component, name, form.quantity, form.unit, x, B @ at.c[0, index],
-        np.sqrt(np.einsum("ij,jk,ik->i", B, C, B)), explained,
+        np.sqrt(np.einsum("ij,jk,ik->i", B, C, B)), explained, drop,
     )  # fmt: skip

@@ -11,6 +11,10 @@ from numpy.typing import NDArray
 from difffric import ensemble as en
 from difffric.ensemble import Fits, Task
 
+_STALE = 1.0
+"""Standard deviations that a push's own mu_s may be off where a fit stands."""
+_SETTLING = 2
+
 
 def bounded(H, g, now, lower, upper, damping=0.0) -> NDArray:
     """(m, P) steps that end within bounds: what would cross one ends there, and the others make
@@ -39,6 +43,25 @@ def moved(task: Task, fits: Fits, damping) -> Fits:
     weight = 1.0 / (found.z + 1.0 / fits.scatter[:, None] ** 2)
     own = -(found.gm + np.einsum("mnp,mp->mn", found.h, step)) * weight
     return replace(_placed_at(task, fits, new), own=own, gram=None)
+
+
+def _settled(task: Task, fits: Fits, pushes: NDArray | None) -> Fits:
+    """The fits followed where they stand, each push's own mu_s brought to what is best there:
+    what a step said of it is not exact, and a push may tell its mu_s to a part in ten thousand."""
+    fits = en.evaluated(task, fits, pushes)
+    for _ in range(_SETTLING if task.mu_free else 0):
+        found = en.normal(task, fits)
+        more = -found.gm / (found.z + 1.0 / fits.scatter[:, None] ** 2)
+        off = (np.abs(more) * np.sqrt(found.z)).max(axis=1) > _STALE
+        off &= np.isfinite(more).all(axis=1) & (np.abs(more).max(axis=1) < 0.5)
+        if not off.any():
+            break
+        again = fits.pick(off := np.flatnonzero(off))
+        again = en.evaluated(task, replace(again, own=again.own + more[off]), pushes)
+        better = en.penalised(task, again) < en.penalised(task, fits.pick(off))
+        if better.any():
+            fits = _replaced(fits, off[better], again.pick(np.flatnonzero(better)))
+    return fits
 
 
 def _columns(task: Task, extra: tuple[int, ...]) -> list[int]:
@@ -85,7 +108,7 @@ def refitted(
     A fit has arrived where less than `tol` is left to gain in chi-square.
     """
     if fits.gram is None:
-        fits = en.rescattered(task, en.evaluated(task, fits, pushes))
+        fits = en.rescattered(task, _settled(task, fits, pushes))
     damping = fits.damping if fits.damping is not None else np.full(fits.m, 1e-3)
     active = np.ones(fits.m, bool)
     for _ in range(rounds):
@@ -93,8 +116,8 @@ def refitted(
         if not len(which):
             break
         at = fits.pick(which)
-        trial = en.evaluated(task, moved(task, at, damping[which]), pushes)
-        before, after = en.penalised(task, at), en.penalised(task, trial)
+        trial = _settled(task, moved(task, at, damping[which]), pushes)
+        before, after = en.normal(task, at).cost, en.normal(task, trial).cost
         better = after < before
         gain = before - after
         damping[which] = np.where(better, np.maximum(damping[which] / 8, 1e-9), damping[which] * 8)
