@@ -17,7 +17,8 @@ def told(line: dict) -> str:
     small = [c["id"] for c in line["negligible"]]
     gain = line["gain"]
     return (
-        f"{head}{_short(truth)} s {line['s']:.3g} -> {line['verdict']} {line['location'] or ''} {'; '.join(said)} "
+        f"{head}{_short(truth)} s {line['s']:.3g} -> {line['verdict']} "
+        f"{line['location'] or ''} {'; '.join(said)} "
         f"small {small} held out {gain['heldout_nrmse_before']:.3f} "
         f"{gain['heldout_nrmse_after']:.3f}, {line['seconds']:.0f} s"
     )

@@ -22,7 +22,7 @@ import numpy as np
 
 from tests import diagnosis_figures as figures
 from tests.hidden import case as cases
-from tests.hidden import random_case, write
+from tests.hidden import random_case, strength, write
 from tests.hidden.outsiders import TABLE as OUTSIDERS
 from tests.reference.effect_parameters import NULLS
 from tests.study import RESULTS, code, prepare

@@ -8,6 +8,7 @@ from pathlib import Path
 from difffric import figures_diagnose
 from difffric.report import Picture, Report, Section, Table, number
 from difffric.setup_file import write_setup
+from difffric.units import to_mm_min, to_um
 from difffric.verdict import ADEQUATE, AMBIGUOUS, NAMED, Cause, Diagnosis
 
 _VERDICTS = {
@@ -26,15 +27,18 @@ def setup_file_of(found: Diagnosis) -> bytes:
         return path.read_bytes()
 
 
-def _row(cause: Cause) -> list[str]:
-    numbers = "; ".join(
+def _sizes(cause: Cause) -> str:
+    return "; ".join(
         f"{name} = {number(value)} ± {number(error, 2)}"
         for name, (value, error) in cause.parameters.items()
     )
+
+
+def _row(cause: Cause) -> list[str]:
     return [
         cause.id,
         cause.component,
-        numbers,
+        _sizes(cause),
         number(cause.probability, 3),
         ", ".join(cause.confusable_with) or "–",
         number(cause.chi2_drop),
@@ -46,6 +50,23 @@ _COLUMNS = (
     "effect", "component", "size", "probability", "confusable with", "chi-square drop",
     "changes mu_s by",
 )  # fmt: skip
+
+
+def considered_table(found: Diagnosis, gain: str = "gain on held-out pushes") -> Table:
+    """The leading effects, each alone on top of the plain model."""
+    rows = [
+        [
+            cause.id,
+            cause.component,
+            _sizes(cause),
+            number(cause.chi2_drop),
+            number(cause.heldout_gain, 3),
+            number(cause.p_value, 2),
+        ]
+        for cause in found.considered
+    ]
+    columns = ("effect", "component", "size", "drop of -2 log likelihood", gain, "p-value")
+    return Table("The leading effects, each alone on top of the plain model", columns, rows)
 
 
 def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
@@ -72,6 +93,17 @@ def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
             "Detected, too small to matter", _COLUMNS, [_row(c) for c in found.negligible]
         )
         sections.append(Section("Negligible", tables=(table,)))
+    if found.considered:
+        sections.append(Section("What was considered", tables=(considered_table(found),)))
+    if found.certificates:
+        rows = [
+            [str(x.push + 1), number(to_mm_min(x.velocity_m_per_s)),
+             number(to_um(x.sliding_distance_m)), number(to_um(x.bound_m))]
+            for x in found.certificates
+        ]  # fmt: skip
+        table = Table("Distances that no k, b and k_v give", ("push", "v [mm/min]", "d [µm]",
+                      "at most [µm]"), rows)  # fmt: skip
+        sections.append(Section("Beyond the plain model", tables=(table,)))
     if pictures:
         drawn = [
             Picture(

@@ -335,6 +335,9 @@ def diagnose(
     negligible: Annotated[
         float, typer.Option(help="share of the systematic error below which a cause is left out")
     ] = 0.1,
+    held_out: Annotated[
+        str, typer.Option(help="what is held out at a time: push, or speed (all of one speed)")
+    ] = "push",
     use_data_mass: DataMass = False,
     skip_bad: SkipBad = False,
     out: Out = None,
@@ -355,8 +358,8 @@ def diagnose(
     rig, loaded = read_setup(setup), load(data, skip_bad=skip_bad)
     with _progress(quiet) as tell:
         found = look(
-            rig, loaded, negligible=negligible, use_data_mass=use_data_mass, skip_bad=skip_bad,
-            tell=tell,
+            rig, loaded, negligible=negligible, held_out=held_out, use_data_mass=use_data_mass,
+            skip_bad=skip_bad, tell=tell,
         )  # fmt: skip
         tell("drawing", 0.99)
         report = answers.diagnose_report(found, pictures=out is not None)

@@ -15,29 +15,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric import cause_search as search
-from difffric import effects as catalogue
 from difffric import ensemble as en
-from difffric import parameters, refits
+from difffric import refits
 from difffric.calibration import fit
 from difffric.candidates import component_of, numbers_of
 from difffric.cause_search import Candidate, Score
+from difffric.certificates import Certificate, unreachable
 from difffric.data_checks import checked_data
 from difffric.diagnosis_data import beside, diagnosis_data
 from difffric.effects import CATALOGUE, RATIO
 from difffric.ensemble import Fits
 from difffric.errors import InputError, NumericalError, require_float64
-from difffric.extended_coordinates import PLAIN
+from difffric.extended_model import SLIDES
+from difffric.extended_setup import extended_rig, extended_setup, stripped
 from difffric.fit_data import sensor_errors
-from difffric.friction import innermost
 from difffric.lack_of_fit import lack_of_fit
 from difffric.location import Location, locate
 from difffric.pushes import Pushes
 from difffric.recordings import Recordings
 from difffric.reduction import reduce_recordings
 from difffric.rig import Rig
-from difffric.setup_file import Extras, Setup
+from difffric.setup_file import Setup
 from difffric.verdict import ADEQUATE, AMBIGUOUS, NAMED, UNEXPLAINED, Cause, Diagnosis, Gain
 
+PUSH, SPEED = "push", "speed"
 SIGNIFICANT = 1e-3
 """An effect is named where chance gives as much with less than this probability."""
 NEGLIGIBLE = 0.1
@@ -51,6 +52,9 @@ ALIKE = 2 * np.log(20.0)
 """Drops of -2 log likelihood within this of each other do not tell two effects apart."""
 _VISIBLE = 3.0
 """Standard deviations at its typical size from which an effect can be seen."""
+_SLIDE_READ = 1e-3
+"""Relative error of a free slide's distance where none is known: what its mu_s scatters by is
+taken for scatter."""
 _TEXT = {RATIO: "mu_k / mu_s is not what the set-up says"}
 
 
@@ -63,6 +67,7 @@ def diagnose(
     data: Pushes | Recordings,
     *,
     negligible: float = NEGLIGIBLE,
+    held_out: str = PUSH,
     use_data_mass: bool = False,
     skip_bad: bool = False,
     tell: Callable[[str, float], None] = _silent,
@@ -71,14 +76,19 @@ def diagnose(
     rig by it and measure the gain on held-out pushes.
 
     `negligible`: the share of the plain model's systematic error below which a cause is listed
-    and not added. Effects that the rig has already stay, and are refitted.
+    and not added. `held_out`: "push", or "speed" to hold out all pushes of one speed at a time.
+    Effects that the rig has already stay, and are refitted.
 
     Raises `InputError` for data that cannot be used, `NumericalError` where the fitted plain model
     gives no number for a push.
     """
     require_float64()
+    if held_out not in (PUSH, SPEED):
+        raise InputError(f"held_out: expected {PUSH!r} or {SPEED!r}, got {held_out!r}")
     setup = rig if isinstance(rig, Setup) else Setup(rig)
-    return _Diagnosis(setup, data, negligible, use_data_mass, skip_bad, tell).run()
+    return _Diagnosis(
+        setup, data, negligible, held_out == SPEED, use_data_mass, skip_bad, tell
+    ).run()
 
 
 @dataclass
@@ -88,10 +98,14 @@ class _Diagnosis:
     setup: Setup
     given: Pushes | Recordings
     share: float
+    by_speed: bool
     use_data_mass: bool
     skip_bad: bool
     tell: Callable[[str, float], None]
     notes: list[str] = field(default_factory=list)
+    considered: list[Candidate] = field(default_factory=list)
+    """the first round's leaders"""
+    certificates: tuple[Certificate, ...] = ()
 
     def run(self) -> Diagnosis:
         """The diagnosis."""
@@ -102,7 +116,7 @@ class _Diagnosis:
             raise NumericalError(
                 "diagnose: the fitted plain model could not be followed through every push"
             )
-        before = lack_of_fit(task, plain)
+        before, self.plain_scatter = lack_of_fit(task, plain), plain.scatter
         named: list[tuple[Candidate, tuple[Candidate, ...]]] = []
         small: list[Candidate] = []
         first_scores: dict[str, Score] = {}
@@ -119,6 +133,7 @@ class _Diagnosis:
                 task, base, wanted, data.scales, scores,
                 lambda s, k=k: self.tell("looking for a cause", 0.3 + 0.15 * (k + s)),
             )  # fmt: skip
+            self.considered = self.considered or found
             found = [c for c in found if c.p_value < SIGNIFICANT]
             best = next((c for c in found if self._gains(base, c.fits)), None)
             if best is None:
@@ -131,33 +146,27 @@ class _Diagnosis:
             # Strong effects take many steps: what is left has to be the best fit's.
             base = refits.refitted(task, best.fits, 40)
             named, base = self._without_needless(plain, named, base)
+        self.certificates = unreachable(data.measured, self.setup.rig)
+        if self.certificates and not named:
+            # The plain model is wrong for certain: what may mend it is in question.
+            question = tuple(c for c in self.considered if c.penalised_drop > 0)
+            if question:
+                named, base = [(question[0], question)], question[0].fits
         return self._result(plain, base, before, named, small, first_scores, total)
 
     def _prepare(self):
         """The plain fit, and beside it the program that follows extended models."""
-        setup, given = self.setup, self.given
-        plain, known = _stripped(setup.rig)
-        self.known = known
-        options = {
-            "use_data_mass": self.use_data_mass, "skip_bad": self.skip_bad,
-        }  # fmt: skip
+        given = self.given
+        own, known = stripped(self.setup)
+        plain, self.known = own.rig, known
+        options = {"use_data_mass": self.use_data_mass, "skip_bad": self.skip_bad}
         if isinstance(given, Recordings):
             checked: Pushes | Recordings = checked_data(given, plain, **options)
-        else:
-            checked = checked_data(given, plain, **options)
-        own = replace(setup, rig=plain, extras=_plain_extras(setup))
-        if isinstance(checked, Recordings):
             reduction = reduce_recordings(checked, skip_bad=self.skip_bad)
             measured, noise = reduction.pushes, None
         else:
-            if checked.free_slides:
-                raise InputError(
-                    f"{checked.source}: diagnose: free slides are not looked into yet".lstrip(": ")
-                )
-            reduction, measured = None, checked
-            noise = np.stack([checked.peak_force_se, checked.sliding_distance_se], axis=1)
-            default = [np.nan if x is None else x for x in sensor_errors(plain)]
-            noise = np.where(np.isnan(noise), default, noise)
+            checked = measured = checked_data(given, plain, **options)
+            reduction, noise = None, _noise(plain, measured)
         data = diagnosis_data(plain, measured, reduction, noise)
         compiling = Thread(target=data.task.model.compile)
         compiling.start()
@@ -169,7 +178,7 @@ class _Diagnosis:
         finally:
             compiling.join()
         self.data, start = beside(data, self.fit)
-        self.folds = _folds(self.data.task.n)
+        self.folds = _folds(np.asarray(self.data.task.model.pushes.velocity), self.by_speed)
         coordinates = self.data.task.model.coordinates
         c = start.c.copy()
         extra = coordinates.indices(tuple(known))
@@ -213,12 +222,10 @@ class _Diagnosis:
     def _result(self, plain, base, before, named, small, scores, total) -> Diagnosis:
         task = self.data.task
         after = lack_of_fit(task, base)
-        held = [
-            refits.held_out(task, replace(x, spread=base.spread), self.folds).squares
-            for x in (plain, base)
-        ]
+        held = [self._squares(x, base) for x in (plain, base)]
         numbers = task.counts.sum()
-        spent = task.n * (task.mu_free + task.model.recordings)
+        slides = task.model.kind == SLIDES
+        spent = 0 if slides else task.n * (task.mu_free + task.model.recordings)
         floor = float(np.sqrt(max(numbers - spent, 1) / numbers))
         error = [float(np.sqrt(h.sum() / numbers)) for h in held]
         gain = Gain(error[0], error[1], floor)
@@ -228,17 +235,21 @@ class _Diagnosis:
             named, base, gain = [], plain, replace(gain, after=gain.before)
             verdict = UNEXPLAINED
         elif not named:
-            verdict = ADEQUATE
+            verdict = UNEXPLAINED if self.certificates else ADEQUATE
         else:
-            verdict = AMBIGUOUS if any(self._alike(*one) for one in named) else NAMED
+            weak = any(best.p_value > SIGNIFICANT for best, _ in named)
+            alike = any(self._alike(*one) for one in named)
+            verdict = AMBIGUOUS if weak or alike else NAMED
         if np.max(held) >= en.REJECTED:
             self.notes.append("a held-out push could not be followed: its error is without meaning")
         causes = self._causes(plain, base, named, scores)
-        rig = self._rig(base)
+        rig = extended_rig(stripped(self.setup)[0].rig, task, base)
         return Diagnosis(
             verdict=verdict,
             p_value=before.p_value,
             causes=causes,
+            considered=tuple(self._cause(plain, c, (), scores) for c in self.considered),
+            certificates=self.certificates,
             negligible=tuple(self._cause(plain, c, (), scores) for c in small),
             location=location,
             gain=gain,
@@ -246,11 +257,21 @@ class _Diagnosis:
             impossible=self.data.impossible,
             plain=self.fit,
             rig=rig,
-            setup=self._setup(rig, base),
+            setup=extended_setup(self.setup, rig, task, base),
             mu_s=tuple(np.exp(base.mu[0, task.condition] + base.own[0]).tolist()),
             notes=(*self.fit.notes, *self.notes),
             work=(self.data, plain, base, before, after),
         )
+
+    def _squares(self, fits: Fits, base: Fits) -> NDArray:
+        """(1, n) of each held-out push in units of the noise; of a free slide, whose one number
+        would be fitted by a mu_s of its own, in units of the plain model's scatter."""
+        task = self.data.task
+        found = refits.held_out(task, replace(fits, spread=base.spread), self.folds)
+        if task.model.kind != SLIDES:
+            return found.squares
+        plain = replace(fits, scatter=self.plain_scatter)
+        return refits.held_out(task, plain, self.folds).penalised
 
     def _unexplained(self, plain, base, before, after, named, scale) -> Location | None:
         """Where the misfit sits if the causes do not explain it: too much is left of it, or one
@@ -320,59 +341,22 @@ class _Diagnosis:
         unseen = [e for e, s in scores.items() if s.visible < _VISIBLE and e not in seen]
         return (*self.data.impossible, *unseen)
 
-    def _rig(self, base: Fits) -> Rig:
-        task = self.data.task
-        coordinates = task.model.coordinates
-        plain, _ = _stripped(self.setup.rig)
-        values: dict[str, float] = dict(
-            zip(PLAIN, coordinates.values(base.c[0], PLAIN), strict=True)
-        )
-        values["mu_s"] = float(np.exp(base.mu[0].mean()))
-        rig = parameters.with_values(plain, values)
-        inside: dict[str, dict[str, float]] = {}
-        names = [coordinates.names[i] for i in base.extra[0]]
-        for name, value in zip(names, coordinates.values(base.c[0], names), strict=True):
-            effect, _, key = name.partition(".")
-            if key:
-                inside.setdefault(effect, {})[key] = value
-        return catalogue.extended(rig, inside)
 
-    def _setup(self, rig: Rig, base: Fits) -> Setup:
-        """The set-up as it is written: values, standard errors, what is free."""
-        task = self.data.task
-        coordinates = task.model.coordinates
-        C = en.covariance(task, base)[0][task.conditions :, task.conditions :]
-        extras = dict(self.setup.extras)
-        columns = [*task.shared, *base.extra[0]]
-        names = [coordinates.names[i] for i in columns]
-        for name, error in zip(
-            names, coordinates.errors(base.c[0], names, columns, C), strict=True
-        ):
-            known = extras.get(name, Extras())
-            extras[name] = Extras(error, True, known.lower, known.upper)
-        scatter = float(base.scatter[0]) if task.mu_free else self.setup.mu_s_scatter
-        return Setup(rig, scatter, extras)
+def _noise(rig: Rig, measured: Pushes) -> NDArray:
+    """(n, 2) standard errors of F_p and d; NaN: not known."""
+    if measured.free_slides:
+        d, v = measured.sliding_distance, measured.release_velocity
+        through = np.nan_to_num(2 * d / v * measured.release_velocity_se)
+        own = measured.sliding_distance_se
+        own = np.where(np.isnan(own), sensor_errors(rig)[1] or _SLIDE_READ * d, own)
+        return np.stack([np.full(len(d), np.nan), np.hypot(own, through)], axis=1)
+    noise = np.stack([measured.peak_force_se, measured.sliding_distance_se], axis=1)
+    default = [np.nan if x is None else x for x in sensor_errors(rig)]
+    return np.where(np.isnan(noise), default, noise)
 
 
-def _stripped(rig: Rig) -> tuple[Rig, dict[str, float]]:
-    """The plain rig behind an extended one, and the effects' numbers by name."""
-    known = {n: float(parameters.values(rig)[n]) for n in catalogue.parameter_names(rig)}
-    return _innermost(rig), known
-
-
-def _innermost(rig: Rig) -> Rig:
-    """The rig with the innermost law of each component."""
-    return replace(
-        rig, friction=innermost(rig.friction), contact=innermost(rig.contact),
-        pusher=innermost(rig.pusher), force_sensor=innermost(rig.force_sensor),
-        probe=innermost(rig.probe),
-    )  # fmt: skip
-
-
-def _plain_extras(setup: Setup) -> dict[str, Extras]:
-    return {name: x for name, x in setup.extras.items() if name not in catalogue.KEYS}
-
-
-def _folds(n: int) -> NDArray:
-    """(n,) the fold of each push: one push each, or about twenty folds of every nth."""
-    return np.arange(n) % max(min(n, 20), 1)
+def _folds(v: NDArray, by_speed: bool) -> NDArray:
+    """(n,) the fold of each push: all of one speed, or one push each (of about twenty folds)."""
+    if by_speed:
+        return np.unique(v, return_inverse=True)[1]
+    return np.arange(len(v)) % max(min(len(v), 20), 1)

@@ -12,7 +12,7 @@ from difffric.candidates import Scales, numbers_of
 from difffric.effects import CATALOGUE, RATIO
 from difffric.ensemble import Fits, Task
 from difffric.extended_coordinates import PLAIN, Coordinates
-from difffric.extended_model import ExtendedModel, Pushes, without
+from difffric.extended_model import RECORDINGS, SLIDES, TABLE, ExtendedModel, Pushes, without
 from difffric.fit_data import strokes_of
 from difffric.fitted import Fit
 from difffric.pushes import Pushes as Measured
@@ -22,6 +22,8 @@ from difffric.units import GRAVITY
 
 NOT_IN_RECORDINGS = ("sample_clipping", "release_threshold")
 """Effects that only reduced numbers have."""
+IN_SLIDES = ("quadratic_drag", "stribeck", "friction_drift", "normal_force")
+"""Effects that a free slide shows, whose place on the rails is not known."""
 OWN_PROGRAM = ("presliding",)
 """Effects without a null: no program has them beside the others."""
 
@@ -41,25 +43,28 @@ class DiagnosisData:
 def diagnosis_data(
     rig: Rig, measured: Measured, reduction: Reduction | None, noise
 ) -> DiagnosisData:
-    """The data of a table (`noise`: standard errors of F_p and d, (n, 2), NaN: not known) or of
-    recordings, against a plain rig. No parameter is free yet but mu_s."""
+    """The data of a table or of free slides (`noise`: standard errors of F_p and d, (n, 2), NaN:
+    not known) or of recordings, against a plain rig. No parameter is free yet but mu_s."""
+    slides = measured.free_slides
+    if slides:
+        measured = replace(measured, velocity=measured.release_velocity)
     n = len(measured)
     _, strokes = strokes_of(rig, measured.stroke)
     order = measured.order if np.isfinite(measured.order).all() else np.arange(n, dtype=float)
     span = np.ptp(order)
     mass = np.where(np.isnan(measured.mass), float(rig.mass), measured.mass)
     rest = measured.rest_before
-    impossible = _impossible(measured, reduction, mass, span)
+    impossible = _impossible(measured, reduction, mass, span, slides)
     if reduction is None:
         data, counts, open_ = _table(measured, noise)
-        left_out = OWN_PROGRAM
+        left_out, kind = OWN_PROGRAM, SLIDES if slides else TABLE
     else:
         values = parameters.values(rig)
         frequency = np.sqrt(float(values["k_N_per_m"]) / mass.min())
         data = stacked_blocks(reduction.recordings, reduction.details, strokes, frequency)
         counts = np.stack([(blocks.a > 0).sum(axis=1) for blocks in data], axis=1).astype(float)
         open_ = (False, False)
-        left_out = (*OWN_PROGRAM, *NOT_IN_RECORDINGS)
+        left_out, kind = (*OWN_PROGRAM, *NOT_IN_RECORDINGS), RECORDINGS
     pushes = Pushes(
         measured.velocity, mass, strokes, (order - order.min()) / (span or 1.0),
         np.nan_to_num(rest), data,
@@ -68,7 +73,7 @@ def diagnosis_data(
     coordinates = Coordinates.of(whole)
     names = list(dict.fromkeys(measured.condition))
     task = Task(
-        model=ExtendedModel(coordinates, whole, pushes, reduction is not None),
+        model=ExtendedModel(coordinates, whole, pushes, kind),
         shared=(),
         condition=np.array([names.index(c) for c in measured.condition]),
         open_spread=open_,
@@ -90,9 +95,13 @@ def _table(measured: Measured, noise):
     return (np.where(there, both, 0.0), weight), there.astype(float), open_
 
 
-def _impossible(measured: Measured, reduction, mass, span) -> dict[str, str]:
+def _impossible(measured: Measured, reduction, mass, span, slides) -> dict[str, str]:
     """Effects that these data have no way to show."""
     out = {}
+    if slides:
+        some = (*CATALOGUE, RATIO)
+        out = dict.fromkeys(some, "free slides have no push, and no known place on the rails")
+        out = {name: why for name, why in out.items() if name not in IN_SLIDES}
     if not np.isfinite(measured.rest_before).all():
         out["static_dwell"] = "the rest before each push (rest_before_s) is not recorded"
     elif np.ptp(np.log1p(measured.rest_before)) < 1e-6:

@@ -283,14 +283,21 @@ def rescattered(task: Task, fits: Fits) -> Fits:
     if not (task.estimate_scatter and task.mu_free):
         return fits
     parts = parts_of(task, fits)
-    values = []
-    for s in _SCATTERS:
+
+    def cost(scatter):
         # Where the shared parameters stand: where a step would lead is not to be trusted yet.
-        found = normal(task, fits, np.full(fits.m, s), parts)
+        found = normal(task, fits, scatter, parts)
         A, scale = _scaled(found.H)
         volume = np.linalg.slogdet(A)[1] + 2 * np.log(scale).sum(1)
-        values.append(found.cost + np.log1p(s**2 * found.z).sum(axis=1) + volume)
-    return replace(fits, scatter=_SCATTERS[np.argmin(values, axis=0)])
+        return found.cost + np.log1p(scatter[:, None] ** 2 * found.z).sum(axis=1) + volume
+
+    best, every = np.ones(fits.m), _SCATTERS
+    for _ in range(3):  # over all, then between the best one's neighbours
+        tried = np.array([cost(best * s) for s in every])
+        best = best * every[np.argmin(tried, axis=0)]
+        step = every[-1] / every[-2]
+        every = np.geomspace(1 / step, step, 9)
+    return replace(fits, scatter=best)
 
 
 def _rss(task: Task, fits: Fits, channel: int) -> NDArray:

@@ -29,6 +29,7 @@ from difffric.path import follow_together
 from difffric.rig import Rig
 from difffric.runge_kutta import RungeKutta
 
+TABLE, SLIDES, RECORDINGS = "table", "slides", "recordings"
 BATCH = 16
 """Pairs that one call answers for."""
 STEPS = 320
@@ -121,7 +122,6 @@ def _recordings(coordinates, rig, pushes: Pushes, c, directions) -> Answer:
 
 def _table(coordinates, rig, pushes: Pushes, c, directions) -> Answer:
     """The same for a table's F_p and d."""
-    measured, weight = pushes.data
     integrator: Any = RungeKutta(TOLERANCE)
 
     def numbers(c):
@@ -132,12 +132,38 @@ def _table(coordinates, rig, pushes: Pushes, c, directions) -> Answer:
 
         return jax.vmap(one)(pushes._replace(data=None), c)
 
-    model, by = _along(numbers, c, directions)
+    return _compared(pushes, *_along(numbers, c, directions))
+
+
+def _compared(pushes: Pushes, model, by) -> Answer:
+    """Reduced numbers (B, 2) and their derivatives (D, B, 2) beside what was measured."""
+    measured, weight = pushes.data
     # Where the part never leaves the tip it slides no distance: d counts as 0.
     r = weight * (measured - jnp.where(jnp.isnan(model), 0.0, model))
     J = -weight * jnp.where(jnp.isnan(by), 0.0, by)
     A = jnp.concatenate([jnp.moveaxis(J, 0, 2), r[:, :, None]], axis=2)
     return Answer(A[:, :, :, None] * A[:, :, None, :], model, r[:, :, None])
+
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(48)
+
+
+def _slides(coordinates, rig, pushes: Pushes, c, directions) -> Answer:
+    """The same for the distances of free slides, `velocity` being that at release."""
+
+    def slid(push, c):
+        at = own_rig(coordinates, rig, push, c)
+        # d = integral of u du / (F(u) / m) from 0 to v, in s with u = v s^2: fine at low speed.
+        s = jnp.asarray(0.5 * (_NODES + 1))
+        u = push.velocity * s**2
+        slowing = -jax.vmap(at.free)(u)
+        d = jnp.sum(0.5 * jnp.asarray(_WEIGHTS) * 2 * push.velocity * s * u / slowing)
+        return jnp.stack([0.0 * d, d])
+
+    def numbers(c):
+        return jax.vmap(slid)(pushes._replace(data=None), c)
+
+    return _compared(pushes, *_along(numbers, c, directions))
 
 
 def _along(function, c, directions):
@@ -147,9 +173,9 @@ def _along(function, c, directions):
 
 
 @lru_cache(maxsize=16)
-def _compiled(coordinates: Coordinates, recordings: bool, structure, shapes):
-    """The program for data of these shapes, for all data of these shapes."""
-    answer = _recordings if recordings else _table
+def _compiled(coordinates: Coordinates, kind: str, structure, shapes):
+    """The program for all data of this kind and these shapes."""
+    answer = {RECORDINGS: _recordings, TABLE: _table, SLIDES: _slides}[kind]
 
     def program(rig, pushes, index, c, directions):
         own = jax.tree.map(lambda column: column[index], pushes)
@@ -166,8 +192,14 @@ class ExtendedModel:
     coordinates: Coordinates
     rig: Rig
     pushes: Pushes
-    recordings: bool
+    kind: str
+    """`table`, `slides` or `recordings`"""
     directions: int = 10
+
+    @property
+    def recordings(self) -> bool:
+        """Whether whole samples are compared."""
+        return self.kind == RECORDINGS
 
     @cached_property
     def _fixed(self):
@@ -187,7 +219,7 @@ class ExtendedModel:
         example = self._example()
         shapes = tuple((x.shape, str(x.dtype)) for x in jax.tree.leaves(example))
         structure = jax.tree.structure(example)
-        return _compiled(self.coordinates, self.recordings, structure, shapes)
+        return _compiled(self.coordinates, self.kind, structure, shapes)
 
     @cached_property
     def _wider(self) -> ExtendedModel:

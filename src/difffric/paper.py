@@ -16,12 +16,15 @@ from numpy.typing import NDArray
 
 from difffric import parameters
 from difffric.calibration import Fit, fit
+from difffric.certificates import lossless_bound
+from difffric.diagnosis import diagnose
 from difffric.estimators import PushFriction, identify
 from difffric.families import MU_S, SPEEDS_MM_MIN, Family, family
 from difffric.pushes import Pushes
 from difffric.rig import Rig, spring_damper_rig
 from difffric.surrogate import PUBLISHED_DISTANCE, PUBLISHED_FORCE, weighted
-from difffric.units import GRAVITY, UM, from_mm, from_mm_min, to_mm, to_mm_min
+from difffric.units import UM, from_mm, from_mm_min, to_mm, to_mm_min
+from difffric.verdict import Diagnosis
 
 CONDITIONS = ("DRY", "OILY")
 STROKES_MM = (1.0, 2.0, 5.0)
@@ -90,14 +93,6 @@ def rough_rig(stroke: float | None = None) -> Rig:
     )
 
 
-def lossless_bound(velocity, mu_k):
-    """The most that a rebound can give: d <= (2 v)^2 / (2 mu_k g) [m], for any k, b and k_v.
-
-    Holds for mu_k / mu_s >= 0.6: below, breakaway itself throws the part.
-    """
-    return 4 * velocity**2 / (2 * mu_k * GRAVITY)
-
-
 @dataclass(frozen=True)
 class Paper:
     """The whole answer to the paper's measurements."""
@@ -114,6 +109,8 @@ class Paper:
     identified_on_all: list[PushFriction]
     """likewise, the unreachable distances included in the calibration"""
     families: Family
+    diagnosis: Diagnosis
+    """of all 24, all pushes of one speed held out at a time"""
 
     def rows(self) -> list[dict]:
         """The 24 measurements of Tables I-IV, in their order."""
@@ -209,7 +206,7 @@ class Paper:
             "misfit": self.misfit(),
             "errors": self.errors(),
             "stroke": "missing: the pusher stops at the first loss of contact",
-            "diagnosis": None,
+            "diagnosis": self.diagnosis.as_dict(),
         }
 
 
@@ -223,7 +220,7 @@ def study(progress: Callable[[str, float], None] = lambda what, share: None) -> 
     impossible = measured.sliding_distance > bound_on(measured)
     nothing = np.zeros(len(measured), bool)
     speeds = sorted(set(measured.velocity.tolist()))
-    work = 2 * (len(speeds) + 1) + 2 * len(STROKES_MM)
+    work = 2 * (len(speeds) + 1) + 2 * len(STROKES_MM) + 6
     done = 0
 
     def step(what, by=1):
@@ -253,10 +250,12 @@ def study(progress: Callable[[str, float], None] = lambda what, share: None) -> 
         guess = parameters.with_stroke(rig, stroke)
         reachable = _hidden(measured, nothing, impossible)
         strokes[stroke] = fit(guess, reachable, several_starts=False)
+    step("looking for what equation (2) gets wrong", by=6)
+    diagnosis = diagnose(rig, measured, held_out="speed")
     progress("done", 1.0)
     return Paper(
         measured, calibration, on_all, strokes, identified, identified_on_all,
-        family(calibration.rig),
+        family(calibration.rig), diagnosis,
     )  # fmt: skip
 
 

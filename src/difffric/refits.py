@@ -148,6 +148,8 @@ class HeldOut(NamedTuple):
 
     squares: NDArray
     """(m, n) sums of squares, each push's own mu_s alone re-estimated"""
+    penalised: NDArray
+    """(m, n) the same with what that mu_s costs beside its scatter"""
     surprise: NDArray
     """(m, n) -2 log likelihood but for a constant, each push's own mu_s averaged over: what
     explains the scatter of mu_s, as a drift does, gains here and not in the squares"""
@@ -175,7 +177,7 @@ def held_out(task: Task, fits: Fits, folds: NDArray) -> HeldOut:
             c[:, i] = at.c
             mu[:, i] = at.mu[:, task.condition[i]]
     own = fits.own
-    squares, surprise = np.full((2, fits.m, task.n), np.inf)
+    squares, penalised, surprise = np.full((3, fits.m, task.n), np.inf)
     for _ in range(2):
         c[:, :, 0] = mu + own
         rows = np.zeros((1, c.shape[2]))
@@ -196,5 +198,6 @@ def held_out(task: Task, fits: Fits, folds: NDArray) -> HeldOut:
         own = own + np.where(np.isfinite(step), step, 0.0)
         squares = np.minimum(squares, value)
         volume = np.where(np.isfinite(zz), np.log1p(zz / s), 0.0)
+        penalised = np.minimum(penalised, value + s * own**2)
         surprise = np.minimum(surprise, value + s * own**2 + volume)
-    return HeldOut(squares, surprise)
+    return HeldOut(squares, penalised, surprise)

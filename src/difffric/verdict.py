@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from difffric.certificates import Certificate
 from difffric.fitted import Fit
 from difffric.location import Location
 from difffric.rig import Rig
@@ -93,6 +94,10 @@ class Diagnosis:
     """the same as it is written to a file"""
     mu_s: tuple[float, ...]
     """of each push, by the extended model"""
+    considered: tuple[Cause, ...] = ()
+    """the leading effects on top of the plain model alone, the best first"""
+    certificates: tuple[Certificate, ...] = ()
+    """measurements that no value of the plain model's parameters can give"""
     next_experiment: dict[str, Any] | None = None
     notes: tuple[str, ...] = ()
     work: Any = field(default=None, repr=False)
@@ -105,6 +110,8 @@ class Diagnosis:
             "lack_of_fit": {"p_value": self.p_value},
             "causes": [cause.as_dict() for cause in self.causes],
             "negligible": [cause.as_dict() for cause in self.negligible],
+            "considered": [cause.as_dict() for cause in self.considered],
+            "certificates": [one.as_dict() for one in self.certificates],
             "location": None if self.location is None else self.location.component,
             "shape": None if self.location is None else self.location.as_dict(),
             "gain": self.gain.as_dict(),
@@ -119,6 +126,8 @@ class Diagnosis:
         lines = [f"[[Diagnosis]] {self.verdict}"]
         if self.p_value is not None:
             lines.append(f"    lack of fit of the plain model: p = {self.p_value:.2g}")
+        if self.certificates:
+            lines.append(f"    {len(self.certificates)} distances are beyond what any k, b give")
         for cause in self.causes:
             alike = ", ".join(cause.confusable_with)
             lines.append(
