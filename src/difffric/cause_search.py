@@ -18,12 +18,13 @@ from difffric.shape_scan import SHAPED, shape_starts
 
 SUBSET = 6
 """Pushes that a scan looks at: enough speeds to tell effects apart, at a fraction of the cost."""
-_LEADERS, _SCORED = 5, 4
+_LEADERS, _SCORED = 5, 3
 """Effects that are refitted to all pushes: the best of the scan, and of the score test."""
 _TRIALS = 10
 """How many independent looks a scan over a wavelength, a place or a speed is worth."""
 _ROUNDS = 15
-_BESIDE = 1e-3
+_SURE, _FAIR = 3, 0.3
+_BESIDE = 1e-6
 _INVERSE = {name for name, (_, key) in KEYS.items() if key.inverse}
 
 
@@ -117,26 +118,33 @@ def subset_of(task: Task, most: int = SUBSET) -> NDArray:
 
 
 def starts_of(
-    task: Task, base: Fits, effect: str, scales: Scales, score: Score | None, some: NDArray
+    task: Task,
+    base: Fits,
+    effect: str,
+    scales: Scales,
+    score: Score | None,
+    some: NDArray,
+    far: bool = True,
 ) -> Fits:
-    """An ensemble of starts for one effect on top of `base` (an ensemble of one)."""
+    """An ensemble of starts for one effect on top of `base` (an ensemble of one); unless `far`,
+    for one that has a score test only where that leads."""
     coordinates = task.model.coordinates
     index = [coordinates.index(name) for name in numbers_of(effect)]
     rows = []
-    if effect in SHAPED:
+    if score is not None and not far:
+        pass
+    elif effect in SHAPED:
         rows = shape_starts(task, base, effect, scales, some).tolist()
     else:
         for values in grid(effect, scales):
             rows.append(coordinates.point(values))
-    if effect in LOCAL:
-        rows.append([base.c[0, i] for i in index])
-        if score is not None and score.drop > 0:
-            bounds = np.array([coordinates.bounds(name) for name in numbers_of(effect)])
-            now = np.array(rows[-1]) + np.array(score.step)
-            rows.append(np.clip(now, bounds[:, 0], bounds[:, 1]).tolist())
+    if score is not None and score.drop > 0:
+        bounds = np.array([coordinates.bounds(name) for name in numbers_of(effect)])
+        now = base.c[0, index] + np.array(score.step)
+        rows.append(np.clip(now, bounds[:, 0], bounds[:, 1]).tolist())
     m = len(rows)
     c = np.repeat(base.c, m, axis=0)
-    c[:, index] = rows
+    c[:, index] = np.reshape(rows, (m, len(index)))
     return Fits(
         extra=((*base.extra[0], *index),) * m,
         c=c,
@@ -154,31 +162,33 @@ def explore(
     scales: Scales,
     scores: dict[str, Score],
     tell: Callable[[float], None] = lambda share: None,
+    far: bool = True,
 ) -> list[Candidate]:
-    """The leading effects, each refitted on top of `base`, the best first."""
+    """The leading effects, each refitted on top of `base`, the best first.
+
+    `far`: whether the misfit is so large that what is linear at an effect's null may be wrong.
+    """
     # A table's pushes are followed in less time: all of them, by more effects.
     quick = not task.model.recordings
     effects, some = list(effects), np.arange(task.n) if quick else subset_of(task)
-    starts = [starts_of(task, base, e, scales, scores.get(e), some) for e in effects]
+    starts = [starts_of(task, base, e, scales, scores.get(e), some, far) for e in effects]
     owner = np.concatenate([np.full(s.m, k) for k, s in enumerate(starts)])
     fits = en.evaluated(task, en.together(*starts), some)
     tell(0.25)
-    found = en.normal(task, fits)
-    gain = np.einsum("mp,mp->m", en.solve(found.H, found.g), found.g)
-    promised = found.cost + np.minimum(gain, 0.0)
+    cost, promised = _promised(task, fits)
     # Of each effect the best by what one step promises, and the best as it stands.
-    keep = []
-    for k in range(len(effects)):
+    keep = set()
+    for k in dict.fromkeys(owner.tolist()):
         mine = np.flatnonzero(owner == k)
-        keep += mine[np.argsort(promised[mine])[: 2 if quick else 1]].tolist()
-        keep.append(int(mine[np.argmin(found.cost[mine])]))
-    keep = np.array(sorted(set(keep)))
+        keep |= {*mine[np.argsort(promised[mine])[: 2 if quick else 1]]}
+        keep |= {mine[np.argmin(cost[mine])]}
+    keep = np.array(sorted(keep))
     fits, owner = refits.refitted(task, fits.pick(keep), 3, some), owner[keep]
     tell(0.5)
     fits, owner = _best_of_each(task, fits, owner)
     fits = refits.refitted(task, fits, 4, some)
     tell(0.65)
-    subset_cost = en.penalised(task, fits)
+    subset_cost = en.normal(task, fits).cost
     leaders = list(np.argsort(subset_cost)[: 2 * _LEADERS if quick else _LEADERS])
     by_score = sorted(range(fits.m), key=lambda j: -_drop(scores.get(effects[int(owner[j])])))
     leaders += [j for j in by_score[:_SCORED] if j not in leaders]
@@ -188,12 +198,16 @@ def explore(
     for k in owner:  # and from where the score test leads
         score = scores.get(effects[int(k)])
         if score is not None and score.drop > 4:
-            near = starts_of(task, base, effects[int(k)], scales, score, some)
-            starts, behind = en.together(starts, near.pick([near.m - 1])), np.append(behind, k)
-    fits, owner = _best_of_each(task, refits.refitted(task, starts, 2), behind)
+            near = starts_of(task, base, effects[int(k)], scales, score, some, far=False)
+            starts, behind = en.together(starts, near), np.append(behind, k)
+    starts = en.evaluated(task, starts)
+    first = _first_of_each(_promised(task, starts)[1], behind)
+    fits, owner = refits.refitted(task, starts.pick(first), 2), behind[first]
+    before = float(en.criterion(task, base)[0])
+    fits, owner = _within_reach(task, fits, owner, before)
     fits = refits.refitted(task, fits, _ROUNDS)
     tell(0.95)
-    value, before = en.criterion(task, fits), float(en.criterion(task, base)[0])
+    value = en.criterion(task, fits)
     out = []
     for j in range(fits.m):
         effect = effects[int(owner[j])]
@@ -206,6 +220,14 @@ def explore(
             )
         )  # fmt: skip
     return sorted(out, key=lambda c: -c.penalised_drop)
+
+
+def _within_reach(task: Task, fits: Fits, owner, before: float) -> tuple[Fits, NDArray]:
+    """Those that explain a fair share of what the best does by now, and the first few."""
+    gain = before - en.criterion(task, fits)
+    order = np.argsort(-gain)
+    keep = [j for k, j in enumerate(order) if k < _SURE or gain[j] > _FAIR * gain[order[0]]]
+    return fits.pick(keep), np.asarray(owner)[keep]
 
 
 def _on_all(task: Task, base: Fits, fits: Fits, effects, owner, some) -> Fits:
@@ -235,9 +257,19 @@ def p_value(effect: str, drop: float, effects: int) -> float:
     return float(min(1.0, stats.chi2.sf(max(drop, 0.0), len(numbers_of(effect))) * looks * effects))
 
 
-def _best_of_each(task: Task, fits: Fits, owner: NDArray) -> tuple[Fits, NDArray]:
-    cost = en.criterion(task, fits)
-    best = [
+def _promised(task: Task, fits: Fits) -> tuple[NDArray, NDArray]:
+    """(m,) the cost as it stands, and what one step promises."""
+    found = en.normal(task, fits)
+    gain = np.einsum("mp,mp->m", en.solve(found.H, found.g), found.g)
+    return found.cost, found.cost + np.minimum(gain, 0.0)
+
+
+def _first_of_each(cost: NDArray, owner: NDArray) -> list[int]:
+    return [
         int(np.flatnonzero(owner == k)[np.argmin(cost[owner == k])]) for k in dict.fromkeys(owner)
     ]
+
+
+def _best_of_each(task: Task, fits: Fits, owner: NDArray) -> tuple[Fits, NDArray]:
+    best = _first_of_each(en.criterion(task, fits), owner)
     return fits.pick(best), owner[best]

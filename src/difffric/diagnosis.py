@@ -50,6 +50,8 @@ MOST = 4
 """Causes that are looked for at most."""
 ALIKE = 2 * np.log(20.0)
 """Drops of -2 log likelihood within this of each other do not tell two effects apart."""
+_LINEAR = 0.3
+"""Excess of chi-square, relative to what noise leaves, up to which score tests lead the search."""
 _VISIBLE = 3.0
 """Standard deviations at its typical size from which an effect can be seen."""
 _SLIDE_READ = 1e-3
@@ -132,6 +134,7 @@ class _Diagnosis:
             found = search.explore(
                 task, base, wanted, data.scales, scores,
                 lambda s, k=k: self.tell("looking for a cause", 0.3 + 0.15 * (k + s)),
+                far=self._far(base),
             )  # fmt: skip
             self.considered = self.considered or found
             found = [c for c in found if c.p_value < SIGNIFICANT]
@@ -189,6 +192,11 @@ class _Diagnosis:
         """Effects that are in the model already."""
         known = {name.partition(".")[0] for name in self.known}
         return known | {c.effect for c, _ in named}
+
+    def _far(self, base: Fits) -> bool:
+        """Whether the misfit is so large that linear predictions are not to be trusted."""
+        left = lack_of_fit(self.data.task, base)
+        return left.p_value is None or left.excess > _LINEAR * left.expected
 
     def _enough(self, base: Fits, scores: dict[str, Score]) -> bool:
         """Whether nothing is left that a further search could find."""

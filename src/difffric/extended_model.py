@@ -194,7 +194,7 @@ class ExtendedModel:
     pushes: Pushes
     kind: str
     """`table`, `slides` or `recordings`"""
-    directions: int = 10
+    directions: int = 8
 
     @property
     def recordings(self) -> bool:
