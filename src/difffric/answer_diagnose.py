@@ -130,6 +130,9 @@ def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
     unseen = [x for x in found.not_visible if x not in found.impossible]
     reasons = [[name, why] for name, why in found.impossible.items()]
     reasons += [[name, "too small a trace in these pushes at its typical size"] for name in unseen]
+    if found.experiments:
+        rows = [[str(one)] for one in found.experiments]
+        sections.append(Section("What to push next", tables=(Table("", ("",), rows),)))
     if reasons:
         table = Table("Not to be seen in these data", ("effect", "why"), reasons)
         sections.append(Section("What these data cannot say", found.notes, (table,)))

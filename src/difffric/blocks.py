@@ -159,23 +159,28 @@ def stacked_blocks(
         )
     both = [row[0] for row in rows], [row[1] for row in rows]
     m = _room(max(len(p.y) for parts in both for p in parts))
-    return _stack(both[0], m), _stack(both[1], m)
+    first, second = (stacked(parts, m, _room(max(len(p.t) for p in parts))) for parts in both)
+    return first, second
 
 
 def _room(n: int) -> int:
     return max(ROOM, -(-n // ROOM) * ROOM)
 
 
-def _stack(parts: list[Blocks], m: int) -> Blocks:
+def stacked(parts: Sequence[Blocks], m: int, e: int) -> Blocks:
+    """Pushes' blocks padded to m, at e instants; what is beyond is cut off."""
+
     def padded(x, size, last=False):
+        x = x[:size]
         out = np.zeros(size, x.dtype)
         out[: len(x)] = x
         if last and len(x):
             out[len(x) :] = x[-1]
         return out
 
-    e = _room(max(len(p.t) for p in parts))
-    fields = [
-        [padded(p.t, e, last=True), *(padded(x, m) for x in p[1:6]), p.samples] for p in parts
-    ]
+    def fields_of(p: Blocks) -> list:
+        fit = min(m, int(np.searchsorted(p.second, e)))
+        return [padded(p.t, e, last=True), *(padded(x[:fit], m) for x in p[1:6]), p.samples]
+
+    fields = [fields_of(p) for p in parts]
     return Blocks(*(np.stack(column) for column in zip(*fields, strict=True)))

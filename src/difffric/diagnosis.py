@@ -23,7 +23,7 @@ from difffric.cause_search import Candidate, Score
 from difffric.certificates import Certificate, unreachable
 from difffric.data_checks import checked_data
 from difffric.diagnosis_data import beside, diagnosis_data
-from difffric.effects import CATALOGUE, RATIO
+from difffric.effects import CATALOGUE, KEYS, RATIO
 from difffric.ensemble import Fits
 from difffric.errors import InputError, NumericalError, require_float64
 from difffric.extended_model import SLIDES
@@ -31,6 +31,7 @@ from difffric.extended_setup import extended_rig, extended_setup, stripped
 from difffric.fit_data import sensor_errors
 from difffric.lack_of_fit import lack_of_fit
 from difffric.location import Location, locate
+from difffric.next_experiment import Experiment, next_experiment
 from difffric.pushes import Pushes
 from difffric.recordings import Recordings
 from difffric.reduction import reduce_recordings
@@ -251,6 +252,8 @@ class _Diagnosis:
         if np.max(held) >= en.REJECTED:
             self.notes.append("a held-out push could not be followed: its error is without meaning")
         causes = self._causes(plain, base, named, scores)
+        unseen = self._not_visible(scores, {c.effect for c, _ in named})
+        experiments = self._experiments(base, named if verdict == AMBIGUOUS else [], unseen)
         rig = extended_rig(stripped(self.setup)[0].rig, task, base)
         return Diagnosis(
             verdict=verdict,
@@ -261,7 +264,8 @@ class _Diagnosis:
             negligible=tuple(self._cause(plain, c, (), scores) for c in small),
             location=location,
             gain=gain,
-            not_visible=self._not_visible(scores, {c.effect for c, _ in named}),
+            not_visible=unseen,
+            experiments=experiments,
             impossible=self.data.impossible,
             plain=self.fit,
             rig=rig,
@@ -270,6 +274,27 @@ class _Diagnosis:
             notes=(*self.fit.notes, *self.notes),
             work=(self.data, plain, base, before, after),
         )
+
+    def _experiments(self, base: Fits, ambiguous, unseen) -> tuple[Experiment, ...]:
+        """What would tell the first cause from those that look like it, and show what is not
+        visible at its typical size."""
+        task, pairs = self.data.task, []
+        if task.model.kind == SLIDES:
+            return ()
+        self.tell("looking for the next experiment", 0.96)
+        for best, others in ambiguous[:1]:
+            alike = self._alike(best, others)
+            pairs += [
+                ((best.effect, c.effect), best.fits, c.fits) for c in others if c.effect in alike
+            ]
+        coordinates = task.model.coordinates
+        for effect in [e for e in unseen if e not in self.data.impossible]:
+            c = base.c.copy()
+            names = numbers_of(effect)
+            typical = {n: 0.8 if effect == RATIO else KEYS[n][1].typical for n in names}
+            c[0, coordinates.indices(names)] = coordinates.point(typical)
+            pairs.append(((effect, "plain"), replace(base, c=c), base))
+        return next_experiment(self.data, pairs)
 
     def _squares(self, fits: Fits, base: Fits) -> NDArray:
         """(1, n) of each held-out push in units of the noise; of a free slide, whose one number

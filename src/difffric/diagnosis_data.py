@@ -38,6 +38,8 @@ class DiagnosisData:
     looked_for: tuple[str, ...]
     impossible: dict[str, str]
     """effects that these data cannot show, with the reason"""
+    reduction: Reduction | None
+    """of recordings"""
 
 
 def diagnosis_data(
@@ -81,7 +83,7 @@ def diagnosis_data(
     )
     looked_for = tuple(e for e in (*CATALOGUE, RATIO) if e not in left_out and e not in impossible)
     return DiagnosisData(task, _scales(rig, measured, strokes, mass), measured, looked_for,
-                         impossible)  # fmt: skip
+                         impossible, reduction)  # fmt: skip
 
 
 def _table(measured: Measured, noise):

@@ -8,6 +8,7 @@ from typing import Any
 from difffric.certificates import Certificate
 from difffric.fitted import Fit
 from difffric.location import Location
+from difffric.next_experiment import Experiment
 from difffric.rig import Rig
 from difffric.setup_file import Setup
 
@@ -98,7 +99,8 @@ class Diagnosis:
     """the leading effects on top of the plain model alone, the best first"""
     certificates: tuple[Certificate, ...] = ()
     """measurements that no value of the plain model's parameters can give"""
-    next_experiment: dict[str, Any] | None = None
+    experiments: tuple[Experiment, ...] = ()
+    """pushes that would tell more, the most wanted first"""
     notes: tuple[str, ...] = ()
     work: Any = field(default=None, repr=False)
     """the search's own state, for figures"""
@@ -117,7 +119,8 @@ class Diagnosis:
             "gain": self.gain.as_dict(),
             "not_visible": list(self.not_visible),
             "impossible": dict(self.impossible),
-            "next_experiment": self.next_experiment,
+            "next_experiment": self.experiments[0].as_dict() if self.experiments else None,
+            "experiments": [one.as_dict() for one in self.experiments],
             "mu_s": list(self.mu_s),
             "notes": list(self.notes),
         }
@@ -147,4 +150,6 @@ class Diagnosis:
             lines.append(f"    the misfit sits in: {where.component}, over the {where.quantity}")
         if self.not_visible:
             lines.append(f"    not visible with these data: {', '.join(self.not_visible)}")
+        if self.experiments:
+            lines.append(f"    next: {self.experiments[0]}")
         return "\n".join([*lines, *(f"    note: {note}" for note in self.notes)])
