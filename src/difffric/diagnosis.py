@@ -47,7 +47,7 @@ NEGLIGIBLE = 0.1
 not added."""
 LEFT = 0.3
 """Share of it that, left over, makes the misfit unexplained."""
-MOST = 4
+MOST = 3
 """Causes that are looked for at most."""
 ALIKE = 2 * np.log(20.0)
 """Drops of -2 log likelihood within this of each other do not tell two effects apart."""
