@@ -24,6 +24,8 @@ _TRIALS = 10
 """How many independent looks a scan over a wavelength, a place or a speed is worth."""
 _ROUNDS = 15
 _SURE, _FAIR = 3, 0.3
+_REOWNED = 10
+"""Fits of a scan whose pushes' own mu_s are looked for afresh."""
 _BESIDE = 1e-6
 _INVERSE = {name for name, (_, key) in KEYS.items() if key.inverse}
 
@@ -171,21 +173,29 @@ def explore(
     # A table's pushes are followed in less time: all of them, by more effects.
     quick = not task.model.recordings
     effects, some = list(effects), np.arange(task.n) if quick else subset_of(task)
-    starts = [starts_of(task, base, e, scales, scores.get(e), some, far) for e in effects]
-    owner = np.concatenate([np.full(s.m, k) for k, s in enumerate(starts)])
-    fits = en.evaluated(task, en.together(*starts), some)
+    # Beside a strong effect the plain fit has bent each push's own mu_s: start from equal ones too.
+    bases = [base, replace(base, own=np.zeros_like(base.own))] if far and task.mu_free else [base]
+    starts = [
+        starts_of(task, at, e, scales, scores.get(e) if at is base else None, some, far)
+        for at in bases for e in effects
+    ]  # fmt: skip
+    from_ = np.concatenate([np.full(s.m, k) for k, s in enumerate(starts)])
+    fits, owner = en.evaluated(task, en.together(*starts), some), from_ % len(effects)
     tell(0.25)
     cost, promised = _promised(task, fits)
     # Of each effect the best by what one step promises, and the best as it stands.
     keep = set()
-    for k in dict.fromkeys(owner.tolist()):
-        mine = np.flatnonzero(owner == k)
+    for k in dict.fromkeys(from_.tolist()):
+        mine = np.flatnonzero(from_ == k)
         keep |= {*mine[np.argsort(promised[mine])[: 2 if quick else 1]]}
         keep |= {mine[np.argmin(cost[mine])]}
     keep = np.array(sorted(keep))
     fits, owner = refits.refitted(task, fits.pick(keep), 3, some), owner[keep]
     tell(0.5)
     fits, owner = _best_of_each(task, fits, owner)
+    if far:
+        first = np.argsort(en.normal(task, fits).cost)[:_REOWNED]
+        fits, owner = refits.reowned(task, fits.pick(first), some), owner[first]
     fits = refits.refitted(task, fits, 4, some)
     tell(0.65)
     subset_cost = en.normal(task, fits).cost
@@ -205,7 +215,10 @@ def explore(
     fits, owner = refits.refitted(task, starts.pick(first), 2), behind[first]
     before = float(en.criterion(task, base)[0])
     fits, owner = _within_reach(task, fits, owner, before)
-    fits = refits.refitted(task, fits, _ROUNDS)
+    fits = refits.refitted(task, refits.reowned(task, fits) if far else fits, _ROUNDS)
+    if far:
+        again = refits.reowned(task, fits)
+        fits = refits.refitted(task, again, _ROUNDS) if again is not fits else fits
     tell(0.95)
     value = en.criterion(task, fits)
     out = []

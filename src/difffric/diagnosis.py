@@ -114,7 +114,8 @@ class _Diagnosis:
         """The diagnosis."""
         self._prepare()
         data, task = self.data, self.data.task
-        plain = base = refits.refitted(task, self.start, 20)
+        plain = refits.refitted(task, self.start, 20)
+        plain = base = refits.refitted(task, refits.reowned(task, plain), 20)
         if (en.penalised(task, base) >= en.REJECTED).any():
             raise NumericalError(
                 "diagnose: the fitted plain model could not be followed through every push"
@@ -148,7 +149,7 @@ class _Diagnosis:
                 break
             named.append((best, tuple(found)))
             # Strong effects take many steps: what is left has to be the best fit's.
-            base = refits.refitted(task, best.fits, 40)
+            base = refits.refitted(task, refits.reowned(task, best.fits), 40)
             named, base = self._without_needless(plain, named, base)
         self.certificates = unreachable(data.measured, self.setup.rig)
         if self.certificates and not named:

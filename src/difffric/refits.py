@@ -14,6 +14,9 @@ from difffric.ensemble import Fits, Task
 _STALE = 1.0
 """Standard deviations that a push's own mu_s may be off where a fit stands."""
 _SETTLING = 2
+_BAD = 3.0
+"""Squared residual per number from which a push fits badly."""
+_OWN = np.linspace(-0.35, 0.35, 21)
 
 
 def bounded(H, g, now, lower, upper, damping=0.0) -> NDArray:
@@ -127,6 +130,34 @@ def refitted(
             fits = _replaced(fits, which[better], good)
         active[which[done]] = False
     return replace(fits, damping=damping)
+
+
+def reowned(task: Task, fits: Fits, pushes: NDArray | None = None) -> Fits:
+    """The fits with each push's own mu_s taken from a grid where that fits better, in pushes that
+    fit badly: beside a strong effect a push may have several mu_s that no small step betters."""
+    if not task.mu_free:
+        return fits
+    which = np.arange(task.n) if pushes is None else np.asarray(pushes)
+    cost = np.einsum("mnk,mk->mn", fits.gram[..., -1, -1], 1.0 / fits.spread**2)
+    bad = cost[:, which] > _BAD * np.maximum(task.counts[which].sum(axis=1), 1.0)
+    if not bad.any():
+        return fits
+    j, i = np.nonzero(bad)
+    i = which[i]
+    tried = np.repeat(_OWN, len(j))
+    fit, push = np.tile(j, len(_OWN)), np.tile(i, len(_OWN))
+    c = fits.c[fit]
+    c[:, 0] = fits.mu[fit, task.condition[push]] + tried
+    found = task.model.answers(push, c, np.zeros((1, c.shape[1])))
+    value = np.einsum("nk,nk->n", found.gram[:, :, -1, -1], 1.0 / fits.spread[fit] ** 2)
+    value = np.where(np.isfinite(value), value, np.inf).reshape(len(_OWN), len(j))
+    best = np.argmin(value, axis=0)
+    better = value[best, np.arange(len(j))] < cost[j, i]
+    if not better.any():
+        return fits
+    own = fits.own.copy()
+    own[j[better], i[better]] = _OWN[best[better]]
+    return replace(fits, own=own, gram=None, residual=None, damping=None)
 
 
 def _replaced(fits: Fits, which, new: Fits) -> Fits:

@@ -1,0 +1,38 @@
+"""How well a set-up predicts pushes that it has not seen: each re-estimates its own mu_s alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from difffric import parameters, refits
+from difffric.data_checks import checked_data
+from difffric.diagnosis_data import diagnosis_data
+from difffric.ensemble import Fits
+from difffric.extended_coordinates import PLAIN
+from difffric.extended_setup import stripped
+from difffric.recordings import Recordings
+from difffric.reduction import reduce_recordings
+from difffric.setup_file import Setup
+
+
+def prediction_error(setup: Setup, data, noise=(0.5, 0.3e-6), **options) -> float:
+    """Root mean square residual in units of the noise; of a table's F_p and d that noise's
+    standard deviations are given."""
+    plain, known = stripped(setup)
+    data = checked_data(data, plain.rig, **options)
+    reduction = reduce_recordings(data) if isinstance(data, Recordings) else None
+    measured = reduction.pushes if reduction else data
+    errors = None if reduction else np.tile(noise, (len(measured), 1))
+    found = diagnosis_data(plain.rig, measured, reduction, errors)
+    task, coordinates = replace(found.task, estimate_scatter=False), found.task.model.coordinates
+    values = parameters.values(setup.rig)
+    c = np.zeros((1, len(coordinates.names)))
+    c[0, coordinates.indices(PLAIN)] = coordinates.point({n: float(values[n]) for n in PLAIN})
+    c[0, coordinates.indices(tuple(known))] = coordinates.point(known)
+    mu = np.full((1, task.conditions), np.log(float(values["mu_s"])))
+    start = Fits(((),), c, mu, np.zeros((1, task.n)), np.array([0.1]), np.ones((1, 2)))
+    at = refits.refitted(task, start, 10)
+    squares = at.gram[0, :, :, -1, -1].sum()
+    return float(np.sqrt(squares / task.counts.sum()))
