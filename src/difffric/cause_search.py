@@ -24,7 +24,7 @@ _TRIALS = 10
 """How many independent looks a scan over a wavelength, a place or a speed is worth."""
 _ROUNDS = 15
 _SURE, _FAIR = 3, 0.3
-_REOWNED = 10
+_REOWNED = 14
 """Fits of a scan whose pushes' own mu_s are looked for afresh."""
 _BESIDE = 1e-6
 _INVERSE = {name for name, (_, key) in KEYS.items() if key.inverse}
@@ -192,10 +192,11 @@ def explore(
     keep = np.array(sorted(keep))
     fits, owner = refits.refitted(task, fits.pick(keep), 3, some), owner[keep]
     tell(0.5)
-    fits, owner = _best_of_each(task, fits, owner)
     if far:
         first = np.argsort(en.normal(task, fits).cost)[:_REOWNED]
         fits, owner = refits.reowned(task, fits.pick(first), some), owner[first]
+        fits = refits.refitted(task, fits, 2, some)
+    fits, owner = _best_of_each(task, fits, owner)
     fits = refits.refitted(task, fits, 4, some)
     tell(0.65)
     subset_cost = en.normal(task, fits).cost

@@ -53,6 +53,8 @@ ALIKE = 2 * np.log(20.0)
 """Drops of -2 log likelihood within this of each other do not tell two effects apart."""
 _LINEAR = 0.3
 """Excess of chi-square, relative to what noise leaves, up to which score tests lead the search."""
+_FEWEST = 3
+"""Pushes from which on one can be held out."""
 _VISIBLE = 3.0
 """Standard deviations at its typical size from which an effect can be seen."""
 _SLIDE_READ = 1e-3
@@ -125,7 +127,11 @@ class _Diagnosis:
         small: list[Candidate] = []
         first_scores: dict[str, Score] = {}
         total = None
-        for k in range(MOST):
+        if task.n < _FEWEST:
+            self.notes.append(
+                f"{task.n} pushes: too few to hold any out, and no cause is looked for"
+            )
+        for k in range(MOST if task.n >= _FEWEST else 0):
             self.tell("looking for a cause", 0.3 + 0.15 * k)
             wanted = [e for e in data.looked_for if e not in self._there(named)]
             wanted = [e for e in wanted if e not in [c.effect for c in small]]

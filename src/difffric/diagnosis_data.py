@@ -24,7 +24,7 @@ NOT_IN_RECORDINGS = ("sample_clipping", "release_threshold")
 """Effects that only reduced numbers have."""
 IN_SLIDES = ("quadratic_drag", "stribeck", "friction_drift", "normal_force")
 """Effects that a free slide shows, whose place on the rails is not known."""
-OWN_PROGRAM = ("presliding",)
+OWN_PROGRAM: tuple[str, ...] = ("presliding",)
 """Effects without a null: no program has them beside the others."""
 
 
@@ -99,7 +99,7 @@ def _table(measured: Measured, noise):
 
 def _impossible(measured: Measured, reduction, mass, span, slides) -> dict[str, str]:
     """Effects that these data have no way to show."""
-    out = {}
+    out: dict[str, str] = dict.fromkeys(OWN_PROGRAM, "not looked for: no value makes bristles vanish")
     if slides:
         some = (*CATALOGUE, RATIO)
         out = dict.fromkeys(some, "free slides have no push, and no known place on the rails")

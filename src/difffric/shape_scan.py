@@ -32,6 +32,8 @@ _AMPLITUDE = 1e-3
 """Coordinate of the sine where derivatives are taken: at the null the cosine has none."""
 _LARGEST = 0.7
 _PEAKS, _STARTS = 3, 4
+_PLACES = 14
+"""Places within the shortest way, and again as many beyond it."""
 
 
 def shape_starts(task: Task, base: Fits, effect: str, scales: Scales, some: NDArray) -> NDArray:
@@ -45,9 +47,11 @@ def shape_starts(task: Task, base: Fits, effect: str, scales: Scales, some: NDAr
     index = [task.model.coordinates.index(x) for x in names]
     way = scales.ways if effect != "pusher_ripple" else np.full(task.n, scales.travel)
     if phase is None:
-        shapes = np.linspace(0.03, 0.97, 16) * np.max(way)
-        found = _scores(task, base, index, shapes, some)
-        return found[1][np.argsort(-found[0])[:_STARTS]]
+        low, high = np.min(way), np.max(way)
+        shapes = np.linspace(0.04, 1.0, _PLACES) * low
+        shapes = np.append(shapes, np.linspace(low, high, _PLACES)[1:-1])
+        drop, starts = _scores(task, base, index, shapes, some)
+        return starts[_peaks(drop)[:_STARTS]]
     near = np.argsort(way, kind="stable")[: len(some)]
     short, long = np.max(way[near]), np.max(way[some])
     step = 1.0 / (3.0 * short)
