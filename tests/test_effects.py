@@ -301,3 +301,19 @@ def test_all_stored_pushes_and_all_their_derivatives(group):
     ids = laws_of(group)
     found = answers(ids, STORED["parameters"][rows], directions, RungeKutta(), quick=False)
     mostly(agree(rows, found, weights))
+
+
+def test_a_patch_that_begins_where_contact_is_lost_is_passed_with_it():
+    """Slow enough, the part leaves where the tip stops: the patch's edge may lie just there."""
+    rig = spring_damper_rig(mass=13.17, mu_s=0.144, k=2.887e6, b=5518.0, k_v=11.3, stroke=1e-3)
+
+    def slid(amplitude, start):
+        keys = {"amplitude": amplitude, "start_m": start}
+        return df.simulate(df.extended(rig, {"friction_patch": keys}), velocity=1 / 60)
+
+    plain = df.simulate(rig, velocity=1 / 60)
+    assert plain.regime == "released_at_stop"
+    for start in (1e-3 * (1 - 1e-9), 1e-3, 1e-3 * (1 + 1e-9)):
+        np.testing.assert_allclose(slid(0.0, start).sliding_distance, plain.sliding_distance)
+        found, before = slid(0.2, start), slid(0.2, 1e-3 * (1 - 1e-6))
+        np.testing.assert_allclose(found.sliding_distance, before.sliding_distance, rtol=1e-4)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from threading import Thread
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,26 +16,23 @@ from numpy.typing import NDArray
 from difffric import cause_search as search
 from difffric import ensemble as en
 from difffric import refits
-from difffric.calibration import fit
 from difffric.candidates import component_of, numbers_of
 from difffric.cause_search import Candidate, Score
 from difffric.certificates import Certificate, unreachable
-from difffric.data_checks import checked_data
-from difffric.diagnosis_data import beside, diagnosis_data
+from difffric.diagnosis_start import folds_of, start_of
 from difffric.effects import CATALOGUE, KEYS, RATIO
 from difffric.ensemble import Fits
 from difffric.errors import InputError, NumericalError, require_float64
 from difffric.extended_model import SLIDES
 from difffric.extended_setup import extended_rig, extended_setup, stripped
-from difffric.fit_data import sensor_errors
-from difffric.lack_of_fit import lack_of_fit
+from difffric.lack_of_fit import far, lack_of_fit
 from difffric.location import Location, locate
 from difffric.next_experiment import Experiment, next_experiment
 from difffric.pushes import Pushes
 from difffric.recordings import Recordings
-from difffric.reduction import reduce_recordings
 from difffric.rig import Rig
 from difffric.setup_file import Setup
+from difffric.starts import best_base, relieved
 from difffric.verdict import ADEQUATE, AMBIGUOUS, NAMED, UNEXPLAINED, Cause, Diagnosis, Gain
 
 PUSH, SPEED = "push", "speed"
@@ -51,15 +47,12 @@ MOST = 3
 """Causes that are looked for at most."""
 ALIKE = 2 * np.log(20.0)
 """Drops of -2 log likelihood within this of each other do not tell two effects apart."""
-_LINEAR = 0.3
-"""Excess of chi-square, relative to what noise leaves, up to which score tests lead the search."""
+_RELIEVED = 3
+"""How often the search begins anew where the fit that it extends turns out not to be the best."""
 _FEWEST = 3
 """Pushes from which on one can be held out."""
 _VISIBLE = 3.0
 """Standard deviations at its typical size from which an effect can be seen."""
-_SLIDE_READ = 1e-3
-"""Relative error of a free slide's distance where none is known: what its mu_s scatters by is
-taken for scatter."""
 _TEXT = {RATIO: "mu_k / mu_s is not what the set-up says"}
 
 
@@ -114,10 +107,12 @@ class _Diagnosis:
 
     def run(self) -> Diagnosis:
         """The diagnosis."""
-        self._prepare()
+        options = {"use_data_mass": self.use_data_mass, "skip_bad": self.skip_bad}
+        start = start_of(self.setup, self.given, self.tell, **options)
+        self.fit, self.known, self.data = start.fit, start.known, start.data
         data, task = self.data, self.data.task
-        plain = refits.refitted(task, self.start, 20)
-        plain = base = refits.refitted(task, refits.reowned(task, plain), 20)
+        self.folds = folds_of(np.asarray(task.model.pushes.velocity), self.by_speed)
+        plain = base = best_base(task, start.at, start.guess)
         if (en.penalised(task, base) >= en.REJECTED).any():
             raise NumericalError(
                 "diagnose: the fitted plain model could not be followed through every push"
@@ -139,11 +134,20 @@ class _Diagnosis:
             first_scores = first_scores or scores
             if k and self._enough(base, scores):
                 break
-            found = search.explore(
-                task, base, wanted, data.scales, scores,
-                lambda s, k=k: self.tell("looking for a cause", 0.3 + 0.15 * (k + s)),
-                far=self._far(base),
-            )  # fmt: skip
+            for _ in range(_RELIEVED):
+                found = search.explore(
+                    task, base, wanted, data.scales, scores,
+                    lambda s, k=k: self.tell("looking for a cause", 0.3 + 0.15 * (k + s)),
+                    far=far(task, base),
+                )  # fmt: skip
+                better = relieved(task, base, found) if far(task, base) else None
+                if better is None:
+                    break
+                base = better
+                if not named:
+                    plain = base
+                    before, self.plain_scatter = lack_of_fit(task, plain), plain.scatter
+                scores = search.score_tests(task, base, wanted)
             self.considered = self.considered or found
             found = [c for c in found if c.p_value < SIGNIFICANT]
             best = next((c for c in found if self._gains(base, c.fits)), None)
@@ -155,7 +159,7 @@ class _Diagnosis:
                 break
             named.append((best, tuple(found)))
             # Strong effects take many steps: what is left has to be the best fit's.
-            base = refits.refitted(task, refits.reowned(task, best.fits), 40)
+            base = refits.refitted(task, best.fits, 40)
             named, base = self._without_needless(plain, named, base)
         self.certificates = unreachable(data.measured, self.setup.rig)
         if self.certificates and not named:
@@ -165,46 +169,10 @@ class _Diagnosis:
                 named, base = [(question[0], question)], question[0].fits
         return self._result(plain, base, before, named, small, first_scores, total)
 
-    def _prepare(self):
-        """The plain fit, and beside it the program that follows extended models."""
-        given = self.given
-        own, known = stripped(self.setup)
-        plain, self.known = own.rig, known
-        options = {"use_data_mass": self.use_data_mass, "skip_bad": self.skip_bad}
-        if isinstance(given, Recordings):
-            checked: Pushes | Recordings = checked_data(given, plain, **options)
-            reduction = reduce_recordings(checked, skip_bad=self.skip_bad)
-            measured, noise = reduction.pushes, None
-        else:
-            checked = measured = checked_data(given, plain, **options)
-            reduction, noise = None, _noise(plain, measured)
-        data = diagnosis_data(plain, measured, reduction, noise)
-        compiling = Thread(target=data.task.model.compile)
-        compiling.start()
-        try:
-            self.fit = fit(
-                own, checked, tell=lambda what, s: self.tell(what, 0.25 * s),
-                use_data_mass=self.use_data_mass, skip_bad=self.skip_bad,
-            )  # fmt: skip
-        finally:
-            compiling.join()
-        self.data, start = beside(data, self.fit)
-        self.folds = _folds(np.asarray(self.data.task.model.pushes.velocity), self.by_speed)
-        coordinates = self.data.task.model.coordinates
-        c = start.c.copy()
-        extra = coordinates.indices(tuple(known))
-        c[0, extra] = coordinates.point(known)
-        self.start = replace(start, c=c, extra=(tuple(extra),))
-
     def _there(self, named) -> set[str]:
         """Effects that are in the model already."""
         known = {name.partition(".")[0] for name in self.known}
         return known | {c.effect for c, _ in named}
-
-    def _far(self, base: Fits) -> bool:
-        """Whether the misfit is so large that linear predictions are not to be trusted."""
-        left = lack_of_fit(self.data.task, base)
-        return left.p_value is None or left.excess > _LINEAR * left.expected
 
     def _enough(self, base: Fits, scores: dict[str, Score]) -> bool:
         """Whether nothing is left that a further search could find."""
@@ -380,23 +348,3 @@ class _Diagnosis:
     def _not_visible(self, scores: dict[str, Score], seen: set[str]) -> tuple[str, ...]:
         unseen = [e for e, s in scores.items() if s.visible < _VISIBLE and e not in seen]
         return (*self.data.impossible, *unseen)
-
-
-def _noise(rig: Rig, measured: Pushes) -> NDArray:
-    """(n, 2) standard errors of F_p and d; NaN: not known."""
-    if measured.free_slides:
-        d, v = measured.sliding_distance, measured.release_velocity
-        through = np.nan_to_num(2 * d / v * measured.release_velocity_se)
-        own = measured.sliding_distance_se
-        own = np.where(np.isnan(own), sensor_errors(rig)[1] or _SLIDE_READ * d, own)
-        return np.stack([np.full(len(d), np.nan), np.hypot(own, through)], axis=1)
-    noise = np.stack([measured.peak_force_se, measured.sliding_distance_se], axis=1)
-    default = [np.nan if x is None else x for x in sensor_errors(rig)]
-    return np.where(np.isnan(noise), default, noise)
-
-
-def _folds(v: NDArray, by_speed: bool) -> NDArray:
-    """(n,) the fold of each push: all of one speed, or one push each (of about twenty folds)."""
-    if by_speed:
-        return np.unique(v, return_inverse=True)[1]
-    return np.arange(len(v)) % max(min(len(v), 20), 1)

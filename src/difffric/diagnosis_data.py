@@ -99,7 +99,9 @@ def _table(measured: Measured, noise):
 
 def _impossible(measured: Measured, reduction, mass, span, slides) -> dict[str, str]:
     """Effects that these data have no way to show."""
-    out: dict[str, str] = dict.fromkeys(OWN_PROGRAM, "not looked for: no value makes bristles vanish")
+    out: dict[str, str] = dict.fromkeys(
+        OWN_PROGRAM, "not looked for: no value makes bristles vanish"
+    )
     if slides:
         some = (*CATALOGUE, RATIO)
         out = dict.fromkeys(some, "free slides have no push, and no known place on the rails")

@@ -78,6 +78,8 @@ def _free(name, field, typical, **more) -> Key:
 
 _INF = float("inf")
 _ANY = {"lower": -_INF}
+_FAR = 10.0
+"""No part gets so far [m]."""
 _LIST = (
     Effect("tilt", FRICTION, friction.Tilt, (_free("alpha_rad", "alpha", 0.01, **_ANY),),
            "the rails are tilted",
@@ -101,7 +103,7 @@ _LIST = (
            ("friction_patch", "pusher_ripple"), "long slides of many lengths"),
     Effect("friction_patch", FRICTION, friction.Patch,
            (_free("amplitude", "amplitude", 0.2, lower=-1.0),
-            _free("start_m", "start", 1e-3, null=1e-3)),
+            _free("start_m", "start", 1e-3, null=_FAR)),
            "friction changes at a place",
            "a kink of the speed at one place, whatever the push's speed",
            ("friction_waviness",), "slides that end before the place and beyond it"),

@@ -28,6 +28,16 @@ class LackOfFit:
     """(n, 2) of each push and channel"""
 
 
+_LINEAR = 0.3
+
+
+def far(task: Task, fits: Fits) -> bool:
+    """Whether a fit (an ensemble of one) leaves so much, relative to the noise, that what is
+    linear at an effect's null is not to be trusted; or nothing is known of the noise."""
+    left = lack_of_fit(task, fits)
+    return left.p_value is None or left.excess > _LINEAR * left.expected
+
+
 def lack_of_fit(task: Task, fits: Fits) -> LackOfFit:
     """Of an ensemble of one, where it stands."""
     r = fits.residual[0] / fits.spread[0][None, :, None]
