@@ -47,7 +47,7 @@ class Analysis:
 
     def error(self, setup: Setup) -> float:
         """Of a set-up on further pushes of the same rig."""
-        new = write(heldout(self.case), self.folder / "new")
+        new = write(heldout(self.case, len(self.case.pushes)), self.folder / "new")
         noise = self.case.noise.force, np.sqrt(2) * self.case.noise.position
         return prediction_error(setup, df.load(new), noise, **self.options)
 

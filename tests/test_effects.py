@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import difffric as df
 from difffric import effects, parameters
 from difffric.closed_form import ClosedForm
 from difffric.errors import InputError

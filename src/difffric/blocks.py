@@ -25,7 +25,7 @@ LONGEST = 1e-3
 FASTEST = 0.4
 """Radians of the contact's own oscillation that a block lasts at most: two points then give the
 model's mean over it to 1e-5 of its swing."""
-ROOM = 128
+ROOM = 512
 """Blocks are padded to multiples of this: few shapes, few compilations."""
 
 

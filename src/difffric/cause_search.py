@@ -193,13 +193,13 @@ def explore(
     fits, owner = refits.refitted(task, fits.pick(keep), 3, some), owner[keep]
     tell(0.5)
     if far:
-        first = np.argsort(en.normal(task, fits).cost)[:_REOWNED]
+        first = np.argsort(en.settled_cost(task, fits))[:_REOWNED]
         fits, owner = refits.reowned(task, fits.pick(first), some), owner[first]
         fits = refits.refitted(task, fits, 2, some)
     fits, owner = _best_of_each(task, fits, owner)
     fits = refits.refitted(task, fits, 4, some)
     tell(0.65)
-    subset_cost = en.normal(task, fits).cost
+    subset_cost = en.settled_cost(task, fits)
     leaders = list(np.argsort(subset_cost)[: 2 * _LEADERS if quick else _LEADERS])
     by_score = sorted(range(fits.m), key=lambda j: -_drop(scores.get(effects[int(owner[j])])))
     leaders += [j for j in by_score[:_SCORED] if j not in leaders]

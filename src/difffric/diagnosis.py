@@ -49,6 +49,8 @@ ALIKE = 2 * np.log(20.0)
 """Drops of -2 log likelihood within this of each other do not tell two effects apart."""
 _RELIEVED = 3
 """How often the search begins anew where the fit that it extends turns out not to be the best."""
+_STANDS_OUT = 4.0
+"""Standard deviations of chi-square."""
 _FEWEST = 3
 """Pushes from which on one can be held out."""
 _VISIBLE = 3.0
@@ -285,7 +287,9 @@ class _Diagnosis:
         """Where the misfit sits if the causes do not explain it: too much is left of it, or one
         component that may bend freely explains it better than all of them."""
         task = self.data.task
+        # As a share of the misfit only where it stands out of chi-square's own scatter.
         misfit = after.p_value is not None and after.p_value < SIGNIFICANT
+        misfit &= after.excess > _STANDS_OUT * np.sqrt(2 * after.expected)
         left = np.sqrt(max(after.excess, 0.0) / scale) if misfit else 0.0
         if left < self.share and named < 2:
             return None

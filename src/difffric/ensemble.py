@@ -256,7 +256,16 @@ def criterion(task: Task, fits: Fits) -> NDArray:
     """(m,) -2 times the log likelihood where the fits stand, their own mu_s averaged over: sum of
     squares, and what the scatter and the spreads that were estimated cost."""
     found = normal(task, fits)
-    return found.cost + _volume(task, fits, found.z)
+    return settled_cost(task, fits, found) + _volume(task, fits, found.z)
+
+
+def settled_cost(task: Task, fits: Fits, found: Normal | None = None) -> NDArray:
+    """(m,) the sum of squares, each push's own mu_s brought to what is best there: as far as a
+    linear prediction is to be trusted, which is no more than a standard deviation."""
+    found = normal(task, fits) if found is None else found
+    weight = found.z + 1.0 / fits.scatter[:, None] ** 2
+    away = -found.gm / weight - fits.own
+    return penalised(task, fits) - np.minimum(away**2 * weight, 1.0).sum(axis=1)
 
 
 def _volume(task: Task, fits: Fits, z) -> NDArray:

@@ -54,13 +54,14 @@ def _settled(task: Task, fits: Fits, pushes: NDArray | None) -> Fits:
     fits = en.evaluated(task, fits, pushes)
     for _ in range(_SETTLING if task.mu_free else 0):
         found = en.normal(task, fits)
-        more = -found.gm / (found.z + 1.0 / fits.scatter[:, None] ** 2)
-        off = (np.abs(more) * np.sqrt(found.z)).max(axis=1) > _STALE
-        off &= np.isfinite(more).all(axis=1) & (np.abs(more).max(axis=1) < 0.5)
+        best = -found.gm / (found.z + 1.0 / fits.scatter[:, None] ** 2)
+        away = np.abs(best - fits.own)
+        off = (away * np.sqrt(found.z)).max(axis=1) > _STALE
+        off &= np.isfinite(best).all(axis=1) & (away.max(axis=1) < 0.5)
         if not off.any():
             break
         again = fits.pick(off := np.flatnonzero(off))
-        again = en.evaluated(task, replace(again, own=again.own + more[off]), pushes)
+        again = en.evaluated(task, replace(again, own=best[off]), pushes)
         better = en.penalised(task, again) < en.penalised(task, fits.pick(off))
         if better.any():
             fits = _replaced(fits, off[better], again.pick(np.flatnonzero(better)))
@@ -120,7 +121,7 @@ def refitted(
             break
         at = fits.pick(which)
         trial = _settled(task, moved(task, at, damping[which]), pushes)
-        before, after = en.normal(task, at).cost, en.normal(task, trial).cost
+        before, after = en.settled_cost(task, at), en.settled_cost(task, trial)
         better = after < before
         gain = before - after
         damping[which] = np.where(better, np.maximum(damping[which] / 8, 1e-9), damping[which] * 8)
