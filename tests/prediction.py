@@ -34,5 +34,6 @@ def prediction_error(setup: Setup, data, noise=(0.5, 0.3e-6), **options) -> floa
     mu = np.full((1, task.conditions), np.log(float(values["mu_s"])))
     start = Fits(((),), c, mu, np.zeros((1, task.n)), np.array([0.1]), np.ones((1, 2)))
     at = refits.refitted(task, start, 10)
+    at = refits.refitted(task, refits.reowned(task, at), 10)
     squares = at.gram[0, :, :, -1, -1].sum()
     return float(np.sqrt(squares / task.counts.sum()))

@@ -23,7 +23,6 @@ HIDDEN = {
     "pusher_lag": {"seed": 5, "strength": 30},
     "force_gain": {"seed": 6, "strength": 30},
     "channel_skew": {"seed": 7, "strength": 30},
-    "probe_scale": {"seed": 2, "strength": 12, "kind": "table"},
 }
 ANOTHER_FORM = ("stribeck",)
 """Hidden with another exponent than the catalogue's: the size is not the same number."""
@@ -73,7 +72,8 @@ def test_a_hidden_effect_is_named_sized_and_gains_on_new_pushes(effect, tmp_path
 def test_nothing_is_named_where_nothing_is_hidden(kind, tmp_path):
     one = Analysis(random_case(1, kind=kind), tmp_path)
     assert one.found.verdict == "adequate" and not one.found.causes
-    assert one.found.gain.after == one.found.gain.before == pytest.approx(1.0, abs=0.25)
+    gain = one.found.gain
+    assert gain.after == gain.before == pytest.approx(gain.noise_floor, rel=0.2)
 
 
 def test_two_effects_are_both_named(tmp_path):
@@ -109,14 +109,16 @@ def test_the_command_writes_a_set_up_that_the_others_take(tmp_path):
     ended = CliRunner().invoke(app, [*words, "--out", str(out), "--quiet"])
     assert ended.exit_code == 0, ended.output
     answer = json.loads((out / "result.json").read_text())
+    assert [cause["id"] for cause in answer["causes"]] == ["probe_scale"]
+    found = answer["causes"][0]["parameters"]["factor"]
+    off = found["value"] - case.effects["probe_scale"]["factor"]
+    assert abs(off) < 4 * found["standard_error"]
     wanted = {"verdict", "lack_of_fit", "causes", "negligible", "location", "gain"}
     assert wanted | {"not_visible", "next_experiment"} <= answer.keys()
     assert (out / "report.html").exists()
     extended = read_setup(out / "setup.toml")
     pushes = df.load(path)
-    fit = df.fit(extended, pushes)
-    named = answer["causes"][0]["parameters"]
-    assert {f"{answer['causes'][0]['id']}.{key}" for key in named} <= set(fit.names)
+    assert "probe_scale.factor" in df.fit(extended, pushes).names
     again = df.diagnose(extended, pushes)
     assert again.verdict == "adequate"
     assert df.simulate(extended.rig, velocity=0.05).peak_force > 0
@@ -130,10 +132,10 @@ def test_bad_input_is_one_clear_line(tmp_path):
         df.diagnose(setup, pushes, held_out="day")
 
 
-def test_two_pushes_are_fitted_and_said_to_be_too_few(tmp_path):
-    case = random_case(2, kind="table")
-    setup = read_setup(write(case, tmp_path).parent / "setup.toml")
-    found = df.diagnose(setup, df.load(tmp_path / "pushes.csv").select([0, 1]))
+@pytest.mark.slow
+def test_too_few_pushes_to_hold_any_out_is_said(tmp_path):
+    one = write(random_case(2, n=2), tmp_path)
+    found = df.diagnose(read_setup(tmp_path / "setup.toml"), df.load(one))
     assert not found.causes and any("too few to hold any out" in note for note in found.notes)
 
 

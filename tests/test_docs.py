@@ -7,6 +7,7 @@ from urllib.parse import unquote
 import pytest
 
 import difffric
+from difffric import catalogue_page
 
 ROOT = Path(__file__).parents[1]
 TOP = [path for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md") if path.exists()]
@@ -64,3 +65,8 @@ def test_no_module_is_named_as_a_public_name():
     """Importing such a module would put it in the function's place (decision 2)."""
     modules = {path.stem for path in (ROOT / "src" / "difffric").glob("*.py")}
     assert not modules & set(difffric.__all__)
+
+
+def test_the_catalogue_is_that_of_the_code():
+    page = (ROOT / "docs" / "catalogue.md").read_text(encoding="utf-8")
+    assert page == catalogue_page.markdown()

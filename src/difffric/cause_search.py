@@ -187,7 +187,7 @@ def explore(
     keep = set()
     for k in dict.fromkeys(from_.tolist()):
         mine = np.flatnonzero(from_ == k)
-        keep |= {*mine[np.argsort(promised[mine])[: 2 if quick else 1]]}
+        keep |= {*mine[np.argsort(promised[mine])[: 2 if quick and not far else 1]]}
         keep |= {mine[np.argmin(cost[mine])]}
     keep = np.array(sorted(keep))
     fits, owner = refits.refitted(task, fits.pick(keep), 3, some), owner[keep]

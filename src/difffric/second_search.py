@@ -55,6 +55,10 @@ def starts_elsewhere(
     return chosen[1:]
 
 
+_HUGE = 1e6
+"""A residual where there is no answer."""
+
+
 def _rank(model: Model, data: FitData, at: Settled, theta: NDArray) -> NDArray:
     """(N,) robust -2 log-likelihood at points (N, P), the best over some scatters."""
     seen = np.nan_to_num(np.abs(np.asarray(data.pushes.measured)[: data.n]))
@@ -63,7 +67,11 @@ def _rank(model: Model, data: FitData, at: Settled, theta: NDArray) -> NDArray:
     weights = np.where(at.weights > 0, 1.0 / np.hypot(own, floor), 0.0)
     zero = np.zeros((len(theta), data.n))
     r, beside = (
-        np.nan_to_num(residuals(data, weights, answers(model, data, theta, x)), nan=1e6)
+        np.clip(
+            np.nan_to_num(residuals(data, weights, answers(model, data, theta, x)), nan=_HUGE),
+            -_HUGE,
+            _HUGE,
+        )
         for x in (zero, zero + _STEP)
     )
     J = (beside - r) / _STEP
