@@ -1,4 +1,4 @@
-"""Where a diagnosis starts: the data, the plain fit, and the program that follows extended models."""
+"""Where a diagnosis starts: the data, the plain fit, the program that follows extended models."""
 
 from __future__ import annotations
 
