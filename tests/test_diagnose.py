@@ -139,6 +139,7 @@ def test_too_few_pushes_to_hold_any_out_is_said(tmp_path):
     assert not found.causes and any("too few to hold any out" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_one_speed_and_one_channel_are_answered_for_what_they_show(tmp_path):
     case = random_case(2, kind="table")
     setup = read_setup(write(case, tmp_path).parent / "setup.toml")
