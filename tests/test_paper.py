@@ -119,7 +119,9 @@ def test_the_answer_has_the_contract_s_fields(study, tmp_path):
     for r in rows:
         assert fields <= set(r)
         assert (r["mu_s_model"] is None) == (r["reason"] is not None)
-    assert len(answer["weighted"]) == 12 and answer["diagnosis"] is None
+    assert len(answer["weighted"]) == 12
+    diagnosis = answer["diagnosis"]
+    assert diagnosis["verdict"] == "ambiguous" and len(diagnosis["certificates"]) == 4
     for name in ("k_N_per_m", "b_N_s_per_m", "k_v_N_s_per_m"):
         assert set(answer["calibration"]["parameters"][name]) >= {"value", "standard_error"}
     page = (tmp_path / "report.html").read_text()
