@@ -68,7 +68,7 @@ def test_a_hidden_effect_is_named_sized_and_gains_on_new_pushes(effect, tmp_path
     assert after < before and after < 1.1
 
 
-@pytest.mark.parametrize("kind", ["recordings", pytest.param("table", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", ["recordings", "table"])
 def test_nothing_is_named_where_nothing_is_hidden(kind, tmp_path):
     one = Analysis(random_case(1, kind=kind), tmp_path)
     assert one.found.verdict == "adequate" and not one.found.causes
@@ -76,7 +76,6 @@ def test_nothing_is_named_where_nothing_is_hidden(kind, tmp_path):
     assert gain.after == gain.before == pytest.approx(gain.noise_floor, rel=0.2)
 
 
-@pytest.mark.slow
 def test_two_effects_are_both_named(tmp_path):
     pair = ("quadratic_drag", "force_gain")
     one = Analysis(random_case(3, pair, strength=40), tmp_path)
@@ -94,7 +93,6 @@ def test_inseparable_effects_are_one_set(tmp_path):
     assert one.found.experiments[0].separates[0] == one.found.causes[0].id
 
 
-@pytest.mark.slow
 def test_what_the_catalogue_lacks_is_located(tmp_path):
     case = random_case(100000 * 10, "friction_rise", strength=60)
     one = Analysis(case, tmp_path)
@@ -134,14 +132,12 @@ def test_bad_input_is_one_clear_line(tmp_path):
         df.diagnose(setup, pushes, held_out="day")
 
 
-@pytest.mark.slow
 def test_too_few_pushes_to_hold_any_out_is_said(tmp_path):
     one = write(random_case(2, n=2), tmp_path)
     found = df.diagnose(read_setup(tmp_path / "setup.toml"), df.load(one))
     assert not found.causes and any("too few to hold any out" in note for note in found.notes)
 
 
-@pytest.mark.slow
 def test_one_speed_and_one_channel_are_answered_for_what_they_show(tmp_path):
     case = random_case(2, kind="table")
     setup = read_setup(write(case, tmp_path).parent / "setup.toml")

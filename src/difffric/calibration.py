@@ -57,6 +57,7 @@ def fit(
     free_start: bool = False,
     robust: bool = False,
     several_starts: bool = True,
+    thorough: bool = True,
     use_data_mass: bool = False,
     skip_bad: bool = False,
     tell: Callable[[str, float], None] = _silent,
@@ -74,6 +75,7 @@ def fit(
     `priors` takes the set-up's standard errors as knowledge from other data; its bounds always
     hold. `free_start` gives each recorded push a start offset of its own; `robust` lets
     outliers of a table weigh less (Huber); `tell(what, share done)` hears of the progress.
+    Unless `thorough`, recordings are followed from the best start alone, however poor the fit.
 
     Raises `InputError` for data that cannot be used (see `data_checks`), for fewer
     measurements than free parameters and for parameters that are unknown or said by the data;
@@ -94,7 +96,7 @@ def fit(
         return _Task(
             setup, reduction.pushes, free, per_condition, priors, free_start, robust,
             several_starts, tell, integrator,
-        ).recordings(reduction)  # fmt: skip
+        ).recordings(reduction, thorough)  # fmt: skip
     if free_start:
         raise InputError("free_start: only recordings have a start offset; these data are a table")
     return _Task(
@@ -190,9 +192,9 @@ class _Task:
                 f"fit: {data.samples} measurements cannot determine {self.layout.n_free} values"
             )
 
-    def recordings(self, reduction: Reduction) -> Fit:
+    def recordings(self, reduction: Reduction, thorough: bool) -> Fit:
         """The fit of whole recordings."""
-        search = SampleSearch(self.model, reduction, self.box, self.tell)
+        search = SampleSearch(self.model, reduction, self.box, self.tell, thorough)
         return self._result(reduction, *search.run())
 
     def _result(self, reduction, model, data, at, reached) -> Fit:

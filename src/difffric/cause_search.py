@@ -13,11 +13,9 @@ from difffric import ensemble as en
 from difffric import refits
 from difffric.candidates import LOCAL, Scales, grid, numbers_of
 from difffric.effects import KEYS
-from difffric.ensemble import Fits, Task
+from difffric.ensemble import Fits, Task, subset_of
 from difffric.shape_scan import SHAPED, shape_starts
 
-SUBSET = 6
-"""Pushes that a scan looks at: enough speeds to tell effects apart, at a fraction of the cost."""
 _LEADERS, _SCORED = 5, 3
 """Effects that are refitted to all pushes: the best of the scan, and of the score test."""
 _TRIALS = 10
@@ -104,19 +102,6 @@ def score_tests(task: Task, base: Fits, effects: Sequence[str]) -> dict[str, Sco
                 drop *= low <= base.c[0, own[0]] + step[0] <= high
             out[e] = Score(drop, tuple(step.tolist()), float(np.sqrt(information)))
     return out
-
-
-def subset_of(task: Task, most: int = SUBSET) -> NDArray:
-    """Pushes over all speeds and conditions for a scan."""
-    v = np.asarray(task.model.pushes.velocity)
-    if task.n <= most:
-        return np.arange(task.n)
-    order = np.lexsort((np.arange(task.n), v))
-    chosen = set(order[np.linspace(0, task.n - 1, most).round().astype(int)].tolist())
-    for k in range(task.conditions):  # one of each condition at least
-        if not chosen & set(np.flatnonzero(task.condition == k).tolist()):
-            chosen.add(int(np.flatnonzero(task.condition == k)[0]))
-    return np.array(sorted(chosen))
 
 
 def starts_of(

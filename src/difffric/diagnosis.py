@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from threading import Thread
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,7 @@ from difffric.errors import InputError, NumericalError, require_float64
 from difffric.extended_model import SLIDES
 from difffric.extended_setup import extended_rig, extended_setup, stripped
 from difffric.lack_of_fit import far, lack_of_fit
-from difffric.location import Location, locate
+from difffric.location import Location, locate, with_forms
 from difffric.next_experiment import Experiment, next_experiment
 from difffric.pushes import Pushes
 from difffric.recordings import Recordings
@@ -106,6 +107,9 @@ class _Diagnosis:
     considered: list[Candidate] = field(default_factory=list)
     """the first round's leaders"""
     certificates: tuple[Certificate, ...] = ()
+    compiling: Thread | None = None
+    held_plain: float | None = None
+    """-2 log likelihood of the held-out pushes without a cause"""
 
     def run(self) -> Diagnosis:
         """The diagnosis."""
@@ -136,6 +140,10 @@ class _Diagnosis:
             first_scores = first_scores or scores
             if k and self._enough(base, scores):
                 break
+            if k and self.compiling is None:  # free forms may be needed, and take long to compile
+                wide = with_forms(task, data.scales).model
+                self.compiling = Thread(target=wide.compile, daemon=True)
+                self.compiling.start()
             for _ in range(_RELIEVED):
                 found = search.explore(
                     task, base, wanted, data.scales, scores,
@@ -183,9 +191,11 @@ class _Diagnosis:
         return (left.p_value is None or left.p_value > 0.01) and min(seen, default=1.0) > 0.01
 
     def _gains(self, base: Fits, new: Fits) -> bool:
-        task = self.data.task
-        old = refits.held_out(task, replace(base, spread=new.spread), self.folds)
-        return bool(refits.held_out(task, new, self.folds).surprise.sum() < old.surprise.sum())
+        return self._surprise(new) < self._surprise(replace(base, spread=new.spread))
+
+    def _surprise(self, fits: Fits) -> float:
+        """-2 log likelihood of the held-out pushes."""
+        return float(refits.held_out(self.data.task, fits, self.folds).surprise.sum())
 
     def _without_needless(self, plain, named, base):
         """Causes that later ones made needless are dropped again."""
@@ -294,6 +304,8 @@ class _Diagnosis:
         if left < self.share and named < 2:
             return None
         self.tell("looking for the component", 0.92)
+        if self.compiling is not None:
+            self.compiling.join()
         found = locate(task, plain, self.data.scales, before.excess)
         drop = float(en.criterion(task, plain)[0] - en.criterion(task, base)[0])
         numbers = len(base.extra[0]) - len(plain.extra[0])
@@ -329,9 +341,9 @@ class _Diagnosis:
         pairs = zip(coordinates.values(at.c[0], names), errors, strict=True)
         found = dict(zip(keys, pairs, strict=True))
         score = scores.get(effect)
-        held = [
-            refits.held_out(task, x, self.folds).surprise.sum() for x in (plain, candidate.fits)
-        ]
+        if self.held_plain is None:
+            self.held_plain = self._surprise(plain)
+        gain = self.held_plain - self._surprise(candidate.fits)
         changed = (at.mu[0, task.condition] + at.own[0]) - (
             plain.mu[0, task.condition] + plain.own[0]
         )
@@ -345,7 +357,7 @@ class _Diagnosis:
             chi2_drop=candidate.drop,
             chi2_drop_predicted=0.0 if score is None else score.drop,
             p_value=candidate.p_value,
-            heldout_gain=float(held[0] - held[1]),
+            heldout_gain=gain,
             change_mu_s=float(np.sqrt(np.mean(changed**2))),
         )
 

@@ -63,7 +63,11 @@ def start_of(
     compiling = Thread(target=data.task.model.compile)
     compiling.start()
     try:
-        fitted = fit(own, checked, tell=lambda what, share: tell(what, 0.25 * share), **options)
+        # One start will do: where the fit is poor, the search begins with more of its own.
+        fitted = fit(
+            own, checked, thorough=False,
+            tell=lambda what, share: tell(what, 0.25 * share), **options,
+        )  # fmt: skip
     finally:
         compiling.join()
     data, start = beside(data, fitted)

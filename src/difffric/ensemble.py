@@ -20,6 +20,8 @@ _SCATTERS = np.concatenate([[1e-6], np.geomspace(3e-4, 0.3, 24)])
 """Relative scatters of mu_s that are looked at."""
 REJECTED = 1e12
 """The square of a residual where a push could not be followed."""
+SUBSET = 6
+"""Pushes that a scan looks at: enough speeds to tell effects apart, at a fraction of the cost."""
 _LEAST_DIAGONAL = 1e-9
 _RIDGE = 1e-13
 
@@ -115,6 +117,19 @@ def together(*parts: Fits) -> Fits:
 
     names = ("c", "mu", "own", "scatter", "spread", "gram", "residual", "damping")
     return Fits(sum((p.extra for p in parts), ()), *(of(name) for name in names))
+
+
+def subset_of(task: Task, most: int = SUBSET) -> NDArray:
+    """Pushes over all speeds and conditions for a scan."""
+    v = np.asarray(task.model.pushes.velocity)
+    if task.n <= most:
+        return np.arange(task.n)
+    order = np.lexsort((np.arange(task.n), v))
+    chosen = set(order[np.linspace(0, task.n - 1, most).round().astype(int)].tolist())
+    for k in range(task.conditions):  # one of each condition at least
+        if not chosen & set(np.flatnonzero(task.condition == k).tolist()):
+            chosen.add(int(np.flatnonzero(task.condition == k)[0]))
+    return np.array(sorted(chosen))
 
 
 def widened(gram, size):
@@ -313,12 +328,13 @@ def _rss(task: Task, fits: Fits, channel: int) -> NDArray:
     return fits.gram[:, :, channel, -1, -1].sum(axis=1)
 
 
-def penalised(task: Task, fits: Fits) -> NDArray:
-    """(m,) the sum of squares with each push's own mu_s as it is."""
-    rss = np.einsum("mnk,mk->m", fits.gram[..., -1, -1], 1.0 / fits.spread**2)
+def penalised(task: Task, fits: Fits, some: NDArray | None = None) -> NDArray:
+    """(m,) the sum of squares of all pushes, or of some, each push's own mu_s as it is."""
+    some = np.arange(task.n) if some is None else some
+    rss = np.einsum("mnk,mk->m", fits.gram[:, some][..., -1, -1], 1.0 / fits.spread**2)
     if task.prior is not None:
         rss = rss + (task.prior * fits.c**2).sum(axis=1)
-    return rss + (fits.own**2).sum(axis=1) / fits.scatter**2
+    return rss + (fits.own[:, some] ** 2).sum(axis=1) / fits.scatter**2
 
 
 def covariance(task: Task, fits: Fits) -> NDArray:

@@ -9,6 +9,7 @@ the same compiled code.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -30,8 +31,8 @@ from difffric.rig import Rig
 from difffric.runge_kutta import RungeKutta
 
 TABLE, SLIDES, RECORDINGS = "table", "slides", "recordings"
-BATCH = 16
-"""Pairs that one call answers for."""
+BATCH = 4
+"""Pairs that one call answers for: as many as are computed abreast. All wait for the longest."""
 STEPS = 320
 """Steps that a push may take."""
 TOLERANCE = 1e-7
@@ -122,7 +123,7 @@ def _recordings(coordinates, rig, pushes: Pushes, c, directions) -> Answer:
 
 def _table(coordinates, rig, pushes: Pushes, c, directions) -> Answer:
     """The same for a table's F_p and d."""
-    integrator: Any = RungeKutta(TOLERANCE)
+    integrator: Any = RungeKutta(TOLERANCE, most=STEPS)
 
     def numbers(c):
         def one(push, c):
@@ -177,9 +178,8 @@ def _compiled(coordinates: Coordinates, kind: str, structure, shapes):
     """The program for all data of this kind and these shapes."""
     answer = {RECORDINGS: _recordings, TABLE: _table, SLIDES: _slides}[kind]
 
-    def program(rig, pushes, index, c, directions):
-        own = jax.tree.map(lambda column: column[index], pushes)
-        return answer(coordinates, rig, own, c, directions)
+    def program(rig, pushes, c, directions):
+        return answer(coordinates, rig, pushes, c, directions)
 
     leaves = [jnp.zeros(shape, kind) for shape, kind in shapes]
     return soon_compiled(program).lower(*jax.tree.unflatten(structure, leaves)).compile()
@@ -202,14 +202,18 @@ class ExtendedModel:
         return self.kind == RECORDINGS
 
     @cached_property
-    def _fixed(self):
-        return parameters.as_arrays(self.rig), jax.tree.map(jnp.asarray, self.pushes)
+    def _rig(self):
+        return parameters.as_arrays(self.rig)
+
+    def _rows(self, index: NDArray) -> Pushes:
+        """Some pushes; the program does not know how many there are."""
+        return jax.tree.map(lambda column: np.asarray(column)[index], self.pushes)
 
     def _example(self):
         K = len(self.coordinates.names)
         return (
-            *self._fixed,
-            jnp.zeros(BATCH, int),
+            self._rig,
+            self._rows(np.zeros(BATCH, int)),
             jnp.zeros((BATCH, K)),
             jnp.zeros((BATCH, self.directions, K)),
         )
@@ -250,10 +254,12 @@ class ExtendedModel:
             fill = np.minimum(np.arange(BATCH), size - 1)
             return jax.tree.map(
                 lambda a: np.asarray(a)[:size],
-                self._compiled(*self._fixed, index[part][fill], c[part][fill], padded[part][fill]),
+                self._compiled(
+                    self._rig, self._rows(index[part][fill]), c[part][fill], padded[part][fill]
+                ),
             )
 
-        with ThreadPoolExecutor(2) as pool:
+        with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
             found = list(pool.map(do, parts))
         back = np.argsort(order)
         whole = jax.tree.map(lambda *a: np.concatenate(a)[back], *found)

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from difffric import ensemble as en
 from difffric import free_form, refits
 from difffric.candidates import Scales
-from difffric.ensemble import Fits, Task
+from difffric.ensemble import Fits, Task, subset_of
 from difffric.free_form import FORMS
 
 TYPICAL = 0.5
 """Standard deviation that a curve's coefficients are assumed to have: not much larger than 1."""
 POINTS = 60
-_ROUNDS = 12
+_FIRST_ROUNDS, _ROUNDS = 6, 12
+_LEADERS = 2
 _DIRECTIONS = 18
 
 
@@ -51,18 +52,24 @@ class Location:
         }
 
 
-def locate(task: Task, plain: Fits, scales: Scales, excess: float) -> Location:
-    """The location of what a plain fit (an ensemble of one) leaves unexplained."""
+def with_forms(task: Task, scales: Scales) -> Task:
+    """The task with all free forms, whose coefficients are assumed to be small."""
     model = task.model
     coordinates = model.coordinates.with_forms()
     rig = free_form.free_rig(model.rig, scales)
     prior = np.zeros(len(coordinates.names))
     prior[len(model.coordinates.names) :] = TYPICAL**-2
-    wide = replace(
+    return replace(
         task,
         model=replace(model, coordinates=coordinates, rig=rig, directions=_DIRECTIONS),
         prior=prior,
     )
+
+
+def locate(task: Task, plain: Fits, scales: Scales, excess: float) -> Location:
+    """The location of what a plain fit (an ensemble of one) leaves unexplained."""
+    wide = with_forms(task, scales)
+    coordinates = wide.model.coordinates
     extra = []
     for name, form in FORMS.items():
         beside = [x for x in form.beside if x in coordinates.names]
@@ -72,13 +79,25 @@ def locate(task: Task, plain: Fits, scales: Scales, excess: float) -> Location:
     c = np.zeros((len(extra), len(coordinates.names)))
     c[:, : start.c.shape[1]] = start.c
     at = replace(start, extra=tuple(extra), c=c, gram=None, residual=None, damping=None)
+    price = np.array([len(x) - len(plain.extra[0]) for x in extra]) * task.price
+    # All forms to some of the pushes; those that lead, to all.
+    some = subset_of(task) if task.model.recordings else np.arange(task.n)
+    first = refits.refitted(wide, at, _FIRST_ROUNDS, some)
+    share = task.counts[some].sum() / task.counts.sum()
+    explained = en.penalised(task, plain, some)[0] - en.penalised(wide, first, some)
+    leaders = np.argsort(share * price - explained)[:_LEADERS]
+    explained = np.clip(explained / max(share * excess, 1.0), 0, 1)
+    own = plain.own[np.zeros(len(leaders), int)]
+    own[:, some] = first.own[leaders][:, some]
+    at = replace(first.pick(leaders), own=own, gram=None, residual=None, damping=None)
     at = refits.refitted(wide, at, _ROUNDS)
     drop = float(en.criterion(task, plain)[0]) - en.criterion(wide, at)
-    price = np.array([len(x) - len(plain.extra[0]) for x in extra]) * task.price
-    best = int(np.argmax(drop - price))
-    name = list(FORMS)[best]
-    explained = dict(zip(FORMS, np.clip(drop / max(excess, 1.0), 0, 1).tolist(), strict=True))
-    return _told(wide, at.pick([best]), name, scales, explained, float((drop - price)[best]))
+    explained[leaders] = np.clip(drop / max(excess, 1.0), 0, 1)
+    best = int(np.argmax(drop - price[leaders]))
+    return _told(
+        wide, at.pick([best]), list(FORMS)[leaders[best]], scales,
+        dict(zip(FORMS, explained.tolist(), strict=True)), float((drop - price[leaders])[best]),
+    )  # fmt: skip
 
 
 def _told(task: Task, at: Fits, name: str, scales: Scales, explained, drop) -> Location:

@@ -60,6 +60,8 @@ class Marcher(NamedTuple):
     looped: bool = False
     blind: bool = False
     """whether only the motion is asked for, not what the sensors make of its peak and release"""
+    most: int = MAX_STEPS
+    """steps after which it is given up"""
 
     @property
     def senses(self) -> bool:
@@ -285,4 +287,4 @@ class Marcher(NamedTuple):
         return jax.lax.while_loop(self.goes_on, in_one_piece(turn) if own else turn, self.start())
 
     def goes_on(self, m: March):
-        return ~m.over & (m.steps < MAX_STEPS)
+        return ~m.over & (m.steps < self.most)

@@ -55,9 +55,10 @@ class Experiment:
         return asdict(self)
 
 
-def designs(data: DiagnosisData) -> Pushes:
+def designs(data: DiagnosisData) -> tuple[Pushes, NDArray]:
     """The pushes that are thought of: other speeds, a longer stroke, a heavier part, a long rest.
-    The data's own arrays have as many, so that the same program follows them."""
+    Repeated to be as many as the data, so that the same program follows them; and the numbers of
+    those that differ."""
     old = data.task.model.pushes
     n = data.task.n
     v = np.asarray(old.velocity)
@@ -69,9 +70,9 @@ def designs(data: DiagnosisData) -> Pushes:
     rows += [(x, 1.5 * mass, stroke, 0.0) for x in ends]
     rows += [(x, mass, stroke, 1000.0) for x in ends]
     rows += [(x, mass, long, 0.0) for x in ends] if np.isfinite(stroke) else []
-    index = np.arange(n) % len(rows)
-    columns = np.array(rows)[index].T
-    return Pushes(columns[0], columns[1], columns[2], np.ones(n), columns[3], None)
+    columns = np.array(rows)[np.arange(n) % len(rows)].T
+    whole = Pushes(columns[0], columns[1], columns[2], np.ones(n), columns[3], None)
+    return whole, np.arange(min(n, len(rows)))
 
 
 def next_experiment(
@@ -79,13 +80,13 @@ def next_experiment(
 ) -> tuple[Experiment, ...]:
     """The best push for each pair: its names, the model taken for the truth, and the other (each
     an ensemble of one, the other with its answers to the data)."""
-    new = designs(data)
+    new, some = designs(data)
     task = replace(data.task, condition=np.zeros(data.task.n, int))
     empty = new._replace(data=_empty(data, new))
     out = []
     for names, truth, other in pairs:
-        told = _seen(task, empty, truth)
-        apart = _apart(data.task, task, empty._replace(data=told), other)
+        told = _seen(task, empty, truth, some)
+        apart = _apart(data.task, task, empty._replace(data=told), other, some)
         known = np.isfinite(apart)
         if known.any():
             i = int(np.argmax(np.where(known, apart, -1.0)))
@@ -105,8 +106,7 @@ def _empty(data: DiagnosisData, new: Pushes) -> Any:
     n = data.task.n
     if data.reduction is None:
         _, weight = old
-        typical = np.where(weight > 0, weight, np.nan)
-        typical = np.nan_to_num(np.nanmedian(typical, axis=0)) if (weight > 0).any() else weight[0]
+        typical = [np.median(x[x > 0]) if (x > 0).any() else 0.0 for x in weight.T]
         return np.zeros((n, 2)), np.tile(typical, (n, 1))
     recordings, details = data.reduction.recordings, data.reduction.details
     parts = [], []
@@ -126,17 +126,17 @@ def _empty(data: DiagnosisData, new: Pushes) -> Any:
     return tuple(stacked(p, *size) for p, size in zip(parts, sizes, strict=True))
 
 
-def _follow(task: Task, pushes: Pushes, fits: Fits):
+def _follow(task: Task, pushes: Pushes, fits: Fits, some: NDArray):
     """(the task with these pushes, the fits' answers to them, their own mu_s at the mean)."""
     there = replace(task, model=replace(task.model, pushes=pushes))
     mean = fits.mu.mean(axis=1, keepdims=True)
     at = replace(fits, mu=mean, own=np.zeros_like(fits.own), gram=None, residual=None)
-    return there, en.evaluated(there, at)
+    return there, en.evaluated(there, at, some)
 
 
-def _seen(task: Task, empty: Pushes, truth: Fits) -> Any:
+def _seen(task: Task, empty: Pushes, truth: Fits, some: NDArray) -> Any:
     """What a model reads of the pushes, in the place of measurements."""
-    _, at = _follow(task, empty, truth)
+    _, at = _follow(task, empty, truth, some)
     r = at.residual[0]
     if not task.model.recordings:
         weight = empty.data[1]
@@ -157,15 +157,15 @@ def _unwhitened(blocks: Blocks, white: NDArray) -> NDArray:
     return out
 
 
-def _apart(given: Task, task: Task, told: Pushes, other: Fits) -> NDArray:
+def _apart(given: Task, task: Task, told: Pushes, other: Fits, some: NDArray) -> NDArray:
     """(n,) how far the other model stays from what is told of each push, in standard deviations,
     once it has been fitted to the push and to the data."""
     known = en.normal(given, other)
-    there, at = _follow(task, told, other)
+    there, at = _follow(task, told, other, some)
     G = np.einsum("nkij,k->nij", at.gram[0], 1.0 / other.spread[0] ** 2)
     C, D = given.conditions, G.shape[1] - 1
     out = np.full(there.n, np.nan)
-    for i in range(there.n):
+    for i in some:
         if G[i, -1, -1] >= en.REJECTED:
             continue
         # The push's own mu_s, then the conditions' (of which it has the mean), then the shared.

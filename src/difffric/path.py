@@ -18,6 +18,10 @@ from difffric.sensing import Filtered, Passed
 from difffric.stride import Stride
 
 
+_FEW = 16
+"""Strides that filters are taken through at once."""
+
+
 def _select(condition, new, old):
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)
 
@@ -89,7 +93,8 @@ def follow(marcher: Marcher, rows: int) -> tuple[March, Path]:
     m, table = jax.lax.while_loop(lambda carry: marcher.goes_on(carry[0]), turn, (start, table))
     m = m._replace(lost_track=m.lost_track | (m.strides >= rows))
     path = Path(marcher.motion, table, m)
-    return m, _with_filters(path) if marcher.motion.rig.force_sensor.filtered else path
+    filtered = marcher.motion.rig.force_sensor.filtered
+    return m, _with_filters(path, m.strides) if filtered else path
 
 
 def follow_together(marcher: Callable[[Rig, Array], Marcher], rigs: Rig, v, rows: int) -> Path:
@@ -130,23 +135,22 @@ def follow_together(marcher: Callable[[Rig, Array], Marcher], rigs: Rig, v, rows
         k, m, _ = carry
         return (k < rows) & ~jnp.all(m.over)
 
-    _, m, table = jax.lax.while_loop(goes_on, turn, (0, start, table))
+    steps, m, table = jax.lax.while_loop(goes_on, turn, (0, start, table))
     m = m._replace(lost_track=m.lost_track | ~m.over)
 
     def path(rig, v, m, table):
         found = Path(marcher(rig, v).motion, table, m)
-        return _with_filters(found) if rig.force_sensor.filtered else found
+        return _with_filters(found, steps) if rig.force_sensor.filtered else found
 
     table = jax.tree.map(lambda whole: jnp.moveaxis(whole, 0, 1), table)
     return jax.vmap(path)(rigs, v, m, table)
 
 
-def _with_filters(path: Path) -> Path:
-    """The path with what the force sensor's filters remember at each stride's start."""
+def _with_filters(path: Path, steps) -> Path:
+    """The path with what the force sensor's filters remember at each stride's start; `steps` of
+    its rows are filled."""
     sensor, strides = path.motion.rig.force_sensor, path.strides
-    there = jnp.isfinite(strides.t)
-    safe = strides._replace(h=jnp.where(there, strides.h, 1.0))
-    powers = jax.vmap(lambda stride: jnp.stack(stride.force_powers(path.motion)))(safe)
+    rows = strides.t.shape[0]
 
     def pass_on(state, given):
         N, h, end, there = given
@@ -155,6 +159,27 @@ def _with_filters(path: Path) -> Path:
         new = tuple(jnp.where(there, a, b) for a, b in zip(after, state, strict=True))
         return new, through.passed()
 
-    zero = jnp.zeros_like(powers[0, 0])
-    _, passed = jax.lax.scan(pass_on, (zero, zero), (powers, safe.h, safe.end, there))
-    return path._replace(filtered_strides=passed)
+    def some(first, state):
+        """The next few rows."""
+        index = first + jnp.arange(_FEW)
+        few = jax.tree.map(lambda column: column.at[index].get(mode="clip"), strides)
+        there = jnp.isfinite(few.t) & (index < rows)
+        few = few._replace(h=jnp.where(there, few.h, 1.0))
+        powers = jax.vmap(lambda stride: jnp.stack(stride.force_powers(path.motion)))(few)
+        state, passed = jax.lax.scan(pass_on, state, (powers, few.h, few.end, there))
+        return index, state, passed
+
+    zero = 0.0 * strides.x[0][0] * strides.h[0]
+    blank = jax.eval_shape(lambda: some(0, (zero, zero))[2])
+    table = jax.tree.map(lambda a: jnp.zeros((rows, *a.shape[1:]), a.dtype), blank)
+
+    def turn(carry):
+        first, state, table = carry
+        index, state, passed = some(first, state)
+        put = lambda whole, new: whole.at[index].set(new, mode="drop")  # noqa: E731
+        return first + _FEW, state, jax.tree.map(put, table, passed)
+
+    _, _, table = jax.lax.while_loop(
+        lambda carry: carry[0] < steps, turn, (0, (zero, zero), table)
+    )
+    return path._replace(filtered_strides=table)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 
-from difffric.march import Marcher
+from difffric.march import MAX_STEPS, Marcher
 from difffric.motion import Motion
 from difffric.rig import Rig
 
@@ -16,11 +16,13 @@ class RungeKutta(eqx.Module):
     """Runge-Kutta steps with exact events for laws of any kind: fast, and differentiable twice in
     forward mode. `tol` is the error allowed to a step, relative to the scales of the push.
 
-    `looped` compiles sooner and runs slower: for rigs with many effects.
+    `looped` compiles sooner and runs slower: for rigs with many effects. A push that takes more
+    than `most` steps is not followed to its end.
     """
 
     tol: float = eqx.field(default=1e-10, static=True)
     looped: bool | None = eqx.field(default=None, static=True)
+    most: int = eqx.field(default=MAX_STEPS, static=True)
 
     def check(self, rig: Rig):
         """Every rig is served."""
@@ -31,7 +33,7 @@ class RungeKutta(eqx.Module):
         looped = self.looped if self.looped is not None else _depth(rig) > 3
         weight = stop_gradient(rig.F_N)
         z_0 = stop_gradient(_reach(rig.contact, weight))
-        return Marcher(Motion(rig, v), z_0, self.tol, looped, blind)
+        return Marcher(Motion(rig, v), z_0, self.tol, looped, blind, self.most)
 
 
 def _reach(contact, force):

@@ -51,6 +51,8 @@ class SampleSearch:
     box: list[NDArray]
     """starts"""
     tell: Tell
+    thorough: bool = True
+    """whether further starts are followed where the fit is poor"""
 
     def run(self) -> tuple[Model, FitData, Settled, tuple[int, int]]:
         """The best fit, and how many of the starts that were followed lead to it.
@@ -79,7 +81,8 @@ class SampleSearch:
                 if best is None or chi2 < best[2].components.chi2 - ALIKE:
                     best, reached = found, 0
                 reached += chi2 < best[2].components.chi2 + ALIKE
-                if reached > 1 or best[2].components.chi2 < _FITS * best[1].samples:
+                good = best[2].components.chi2 < _FITS * best[1].samples
+                if reached > 1 or good or not self.thorough:
                     return *best, (reached, tried)
         if best is None:
             raise NumericalError("fit: no start gives a finite misfit")

@@ -3,7 +3,7 @@
 Their amplitude has an exact derivative at the null for each shape: a score test a shape, at the
 cost of one evaluation, tells how much it would explain and with which amplitude and phase. A long
 push tells wavelengths apart that are close together, and has many of them: the search begins with
-the pushes that reach least far, and goes on with all between the best of those.
+pushes that do not reach far, and goes on with all between the best of those.
 """
 
 from __future__ import annotations
@@ -32,6 +32,8 @@ _AMPLITUDE = 1e-3
 """Coordinate of the sine where derivatives are taken: at the null the cosine has none."""
 _LARGEST = 0.7
 _PEAKS, _STARTS = 3, 4
+_FIRST = slice(1, 4)
+"""Of the pushes by how far they reach, those that begin: not the slowest, which take longest."""
 _PLACES = 14
 """Places within the shortest way, and again as many beyond it."""
 
@@ -52,7 +54,9 @@ def shape_starts(task: Task, base: Fits, effect: str, scales: Scales, some: NDAr
         shapes = np.append(shapes, np.linspace(low, high, _PLACES)[1:-1])
         drop, starts = _scores(task, base, index, shapes, some)
         return starts[_peaks(drop)[:_STARTS]]
-    near = np.argsort(way, kind="stable")[: len(some)]
+    near = some[np.argsort(way[some], kind="stable")]
+    if task.model.recordings and len(near) > _FIRST.stop:  # of a table each push says little
+        near = near[_FIRST]
     short, long = np.max(way[near]), np.max(way[some])
     step = 1.0 / (3.0 * short)
     last = min(1.0 / SHORTEST, 0.5 / short + MOST * step)
