@@ -1,32 +1,34 @@
 """A study of diagnosis: random rigs with hidden effects, from files, started from rough set-ups.
 
     python -m tests.diagnosis_study [--only clean] [--cases 50] [--shard 1/2] [--results DIR]
+        [--page PAGE]
 
 Every case has a seed of its own, is made by `tests.hidden`, which shares no code with the library,
-written to files, diagnosed from them, and appended as a line of JSON to DIR/CODE/GROUP.jsonl. What
-is there already is not done again. `tests.diagnosis_figures` makes the figures.
+written to files, diagnosed from them, and appended as a line of JSON to
+DIR/diagnosis/CODE/GROUP.jsonl. What is there already is not done again. `tests.diagnosis_figures`
+makes the figures.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from tests import diagnosis_figures as figures
+from tests import study_runs as runs
 from tests.hidden import case as cases
 from tests.hidden import random_case, strength, write
 from tests.hidden.outsiders import TABLE as OUTSIDERS
 from tests.reference.effect_parameters import NULLS
-from tests.study import RESULTS, code, prepare
 
+PAGE = runs.ROOT / "docs" / "study.md"
+IMAGE = runs.ROOT / "docs" / "images" / "diagnosis_confusion.png"
 EFFECTS = tuple(NULLS)
 IN_RECORDINGS = tuple(e for e in EFFECTS if e not in cases.TABLE_ONLY and e != "normal_force")
 TIMING = ("pusher_ripple", "force_lowpass", "force_highpass", "channel_skew", "presliding")
@@ -100,7 +102,7 @@ GROUPS = {
 
 
 def run_case(group: str, i: int, keep: Path | None = None) -> dict:
-    """One case: what was hidden, and what the diagnosis says."""
+    """One case: what was hidden, what the diagnosis says, and what the true model would gain."""
     import difffric as df
     from difffric.setup_file import read_setup
 
@@ -110,6 +112,7 @@ def run_case(group: str, i: int, keep: Path | None = None) -> dict:
     except ValueError as error:
         return {**line, "skipped": str(error)}
     line |= {"kind": case.kind, "effects": dict(case.effects), "outsider": dict(case.outsider)}
+    line["another_form"] = case.s_curve or _exponent(case) != 2.0
     line["components"] = list(case.components)
     line["s"] = strength(case) if case.hidden else 0.0
     with tempfile.TemporaryDirectory() as empty:
@@ -122,49 +125,70 @@ def run_case(group: str, i: int, keep: Path | None = None) -> dict:
         except (df.DifffricError, ArithmeticError, ValueError) as error:
             return {**line, "error": f"{type(error).__name__}: {error}"}
         line["seconds"] = time.perf_counter() - began
-    return {**line, **found.as_dict()}
+    told = found.as_dict()
+    told.pop("mu_s"), told.pop("experiments")
+    return {**line, **told, "true_model": true_model(found, case)}
 
 
-def load(folder: Path, group: str) -> list[dict]:
-    """The lines of a group, in the order of the cases; a line cut short is left out."""
-    path, lines = folder / f"{group}.jsonl", {}
-    if path.exists():
-        for text in path.read_text(encoding="utf-8").splitlines():
-            try:
-                line = json.loads(text)
-            except json.JSONDecodeError:
-                continue
-            lines[line["case"]] = line
-    return [lines[i] for i in sorted(lines)]
+def _exponent(case: cases.Case) -> float:
+    return case.effects.get("stribeck", {}).get("delta", 2.0)
 
 
-def run(group: str, folder: Path, count: int, shard: tuple[int, int] = (1, 1)) -> None:
-    """Do the first cases of a group that are not there yet."""
-    folder.mkdir(parents=True, exist_ok=True)
-    there = {line["case"] for line in load(folder, group)}
-    for i in range(count):
-        if i in there or i % shard[1] != shard[0] - 1:
-            continue
-        line = run_case(group, i)
-        with (folder / f"{group}.jsonl").open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
-        print(figures.told(line), file=sys.stderr, flush=True)
+def true_model(found, case: cases.Case) -> dict | None:
+    """The error on held-out pushes of the model that made the data, fitted from the truth, and by
+    how much it beats the diagnosis's own in -2 log likelihood. None: not one of the catalogue's."""
+    from difffric import ensemble as en
+    from difffric import refits
+    from difffric.candidates import numbers_of
+    from difffric.diagnosis_start import folds_of
+
+    data, plain, base, *_ = found.work
+    task = data.task
+    coordinates = task.model.coordinates
+    names = [name for effect in case.effects for name in numbers_of(effect)]
+    if case.outsider or not names or not set(names) <= set(coordinates.names):
+        return None
+    values = {**case.rig, "mu_s": 1.0}
+    for effect, numbers in case.effects.items():
+        values |= {
+            "mu_k_over_mu_s" if effect == "friction_ratio" else f"{effect}.{key}": x
+            for key, x in numbers.items()
+        }
+    c = plain.c.copy()
+    known = [x for x in dict.fromkeys((*case.rig, *names)) if x in coordinates.names]
+    c[0, coordinates.indices(known)] = coordinates.point({name: values[name] for name in known})
+    own = np.log([push.mu_s for push in case.pushes])
+    mu = np.array([[own[task.condition == k].mean() for k in range(task.conditions)]])
+    extra = (*plain.extra[0], *(i for i in coordinates.indices(names) if i not in task.shared))
+    at = replace(
+        plain, extra=(extra,), c=c, mu=mu, own=own[None] - mu[:, task.condition],
+        gram=None, residual=None, damping=None,
+    )  # fmt: skip
+    at = refits.refitted(task, at, 30)
+    folds = folds_of(np.asarray(task.model.pushes.velocity), False)
+    squares = refits.held_out(task, replace(at, spread=base.spread), folds).squares
+    return {
+        "heldout_nrmse": float(np.sqrt(squares.sum() / task.counts.sum())),
+        "better_by": float(en.criterion(task, base)[0] - en.criterion(task, at)[0]),
+    }
 
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run what is missing, print the figures, write the page."""
-    parser = argparse.ArgumentParser(prog="python -m tests.diagnosis_study", description=__doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument("--only", choices=GROUPS, action="append", help="groups (default: all)")
-    parser.add_argument("--cases", type=int, help="how many of each group (default: all)")
-    parser.add_argument("--shard", default="1/1", help="i/n: the i-th of n processes")
-    parser.add_argument("--results", type=Path, default=RESULTS / "diagnosis")
-    asked = parser.parse_args(words)
-    prepare()
-    i, n = (int(x) for x in asked.shard.split("/"))
-    folder = asked.results / code()
+    asked, shard = runs.arguments(
+        "tests.diagnosis_study", __doc__ or "", tuple(GROUPS), PAGE, words
+    )
+    runs.prepare()
+    folder = asked.results / "diagnosis" / runs.code("hidden")
     for group in asked.only or GROUPS:
-        run(group, folder, asked.cases or GROUPS[group].count, (i, n))
+        count = asked.cases or GROUPS[group].count
+        runs.run(group, folder, count, partial(run_case, group), shard, figures.told)
+    everything = {group: runs.load(folder, group) for group in GROUPS}
+    text = figures.markdown(everything, folder.name)
+    print(text)
+    if shard == (1, 1):
+        figures.confusion(everything, IMAGE)
+        runs.write_into(asked.page, text, "diagnoses")
     return 0
 
 

@@ -10,27 +10,19 @@ is not done again. The figures are printed, and set between two marks of the pag
 
 from __future__ import annotations
 
-import argparse
-import hashlib
-import json
 import math
-import os
-import re
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 
 from tests import study_figures as figures
+from tests import study_runs as runs
 from tests.reference import data as reference
 
-ROOT = Path(__file__).parents[1]
-RESULTS = ROOT / ".study"
-PAGE = ROOT / "docs" / "study.md"
-START, END = "<!-- study:start -->", "<!-- study:end -->"
+PAGE = runs.ROOT / "docs" / "study.md"
 SENSOR_RANGE = 5000.0
 """[N]: no rig of the study saturates its sensor"""
 LEAST_SCATTER = 1e-4
@@ -183,93 +175,21 @@ def apart(fit, other) -> float:
     return float(far) if math.isfinite(far) else 1e300
 
 
-def code() -> str:
-    """Ten digits that stand for the source of the library and of the simulator."""
-    digest = hashlib.sha256()
-    for folder in (ROOT / "src" / "difffric", ROOT / "tests" / "reference"):
-        for path in sorted(folder.glob("*.py")):
-            digest.update(path.name.encode() + path.read_bytes())
-    return digest.hexdigest()[:10]
-
-
-def load(folder: Path, kind: str) -> list[dict]:
-    """The lines of one kind, in the order of the cases; a line cut short is left out."""
-    path, lines = folder / f"{kind}.jsonl", {}
-    if path.exists():
-        for text in path.read_text(encoding="utf-8").splitlines():
-            try:
-                line = json.loads(text)
-            except json.JSONDecodeError:
-                continue
-            lines[line["case"]] = line
-    return [lines[case] for case in sorted(lines)]
-
-
-def run(kind: str, folder: Path, cases: int, shard: tuple[int, int] = (1, 1)) -> None:
-    """Do the first `cases` of a kind that are not there yet."""
-    folder.mkdir(parents=True, exist_ok=True)
-    there = {line["case"] for line in load(folder, kind)}
-    todo = [i for i in range(cases) if i not in there and i % shard[1] == shard[0] - 1]
-    began = time.perf_counter()
-    for done, case in enumerate(todo, 1):
-        text = json.dumps(run_case(kind, case), allow_nan=True)
-        with (folder / f"{kind}.jsonl").open("a", encoding="utf-8") as file:
-            file.write(text + "\n")
-        each = (time.perf_counter() - began) / done
-        left = each * (len(todo) - done) / 60
-        say = f"\r{kind}: {done} of {len(todo)}, {each:.1f} s each, {left:.0f} min left "
-        print(say, end="", file=sys.stderr, flush=True)
-    if todo:
-        print(file=sys.stderr)
-
-
-def into(page: str, text: str) -> str:
-    """The page with the text between its marks; they are added at its end where missing."""
-    block = f"{START}\n{text}\n{END}"
-    marked = re.compile(re.escape(START) + ".*?" + re.escape(END), re.DOTALL)
-    if marked.search(page):
-        return marked.sub(lambda _: block, page)
-    return f"{page.rstrip()}\n\n{block}\n".lstrip()
-
-
-def prepare() -> None:
-    """Compiled programs are stored, as the tests' are, and a failed step is a NaN, which the fit
-    takes as a refusal. Before JAX is imported."""
-    from tests import conftest  # 64 bits, and the store of compiled programs
-
-    assert conftest.CACHE
-    os.environ.setdefault("EQX_ON_ERROR", "nan")
-
-
-def arguments(words: Sequence[str] | None) -> argparse.Namespace:
-    """The command line."""
-    parser = argparse.ArgumentParser(prog="python -m tests.study", description=__doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument("--only", choices=KINDS, action="append", help="kinds (default: all)")
-    parser.add_argument("--cases", type=int, help="how many of each kind (default: all)")
-    parser.add_argument("--shard", default="1/1", help="i/n: the i-th of n processes")
-    parser.add_argument("--results", type=Path, default=RESULTS)
-    parser.add_argument("--page", type=Path, default=PAGE)
-    return parser.parse_args(words)
-
-
 def main(words: Sequence[str] | None = None) -> int:
     """Run what is missing, print the figures, write the page."""
-    asked = arguments(words)
-    prepare()
-    i, n = (int(x) for x in asked.shard.split("/"))
-    folder = asked.results / code()
+    asked, shard = runs.arguments("tests.study", __doc__ or "", tuple(KINDS), PAGE, words)
+    runs.prepare()
+    folder = asked.results / runs.code("reference")
     for kind in asked.only or KINDS:
         cases = KINDS[kind].cases if asked.cases is None else asked.cases
-        run(kind, folder, cases, (i, n))
-    everything = {kind: load(folder, kind) for kind in KINDS}
+        runs.run(kind, folder, cases, partial(run_case, kind), shard)
+    everything = {kind: runs.load(folder, kind) for kind in KINDS}
     text = figures.markdown(everything, folder.name)
     print(text)
     for complaint in figures.complaints(everything):
         print(f"missed: {complaint}")
-    if (i, n) == (1, 1):
-        before = asked.page.read_text(encoding="utf-8") if asked.page.exists() else ""
-        asked.page.write_text(into(before, text), encoding="utf-8")
+    if shard == (1, 1):
+        runs.write_into(asked.page, text)
     return 0
 
 

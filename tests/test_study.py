@@ -2,12 +2,14 @@
 
 import json
 import math
+from functools import partial
 
 import numpy as np
 import pytest
 
 from tests import study
 from tests import study_figures as figures
+from tests import study_runs as runs
 
 
 def line(case=0, z=(0.0, 0.0, 0.0, 0.0), *, worse=0.0, apart=0.0, converged=True, notes=()):
@@ -97,11 +99,11 @@ def test_wrong_and_silent_fits_are_named():
 
 
 def test_a_page_keeps_its_text_and_has_one_table():
-    once = study.into("# Study\n\nWords.\n", "first")
-    again = study.into(once, "second")
+    once = runs.into("# Study\n\nWords.\n", "first")
+    again = runs.into(once, "second")
     assert again.startswith("# Study\n\nWords.\n")
     assert "second" in again and "first" not in again
-    assert study.into(again, "second") == again
+    assert runs.into(again, "second") == again
 
 
 def test_cases_are_drawn_from_their_own_seed():
@@ -115,24 +117,27 @@ def test_cases_are_drawn_from_their_own_seed():
 
 
 def test_the_study_runs_is_resumed_and_passes_over_a_line_cut_short(tmp_path):
-    study.run("tables", tmp_path, 3, (3, 3))  # case 2 alone
+    one = partial(study.run_case, "tables")
+    runs.run("tables", tmp_path, 3, one, (3, 3))  # case 2 alone
     path = tmp_path / "tables.jsonl"
     first = path.read_text()
-    (found,) = study.load(tmp_path, "tables")
+    (found,) = runs.load(tmp_path, "tables")
     assert "error" not in found and found["converged"] and figures.reached(found)
     assert all(math.isfinite(found["parameters"][name]["se"]) for name in figures.LABELS)
     assert json.loads(first)["truth"] == study.true_values(study.draw("tables", 2)[0])
     path.write_text(first + first[:50])
-    study.run("tables", tmp_path, 3, (3, 3))
+    runs.run("tables", tmp_path, 3, one, (3, 3))
     assert path.read_text() == first + first[:50]
-    text = figures.markdown({"tables": study.load(tmp_path, "tables")}, "code")
+    runs.run("tables", tmp_path, 4, lambda case: {"case": case}, (4, 4))  # on a line of its own
+    assert [line["case"] for line in runs.load(tmp_path, "tables")] == [2, 3]
+    text = figures.markdown({"tables": [found]}, "code")
     assert "| rigs | 1 |" in text
 
 
 @pytest.mark.slow
 def test_the_figures_asked_for_are_met():
-    folder = study.RESULTS / study.code()
-    lines = {kind: study.load(folder, kind) for kind in study.KINDS}
+    folder = runs.RESULTS / runs.code("reference")
+    lines = {kind: runs.load(folder, kind) for kind in study.KINDS}
     if not any(lines.values()):
         pytest.skip("no results of this source: python -m tests.study makes them")
     assert figures.complaints(lines) == []

@@ -1,0 +1,113 @@
+"""Studies that are stopped and go on: a line of JSON a case, in a folder for each state of the
+source, and their figures between two marks of a page."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import re
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / ".study"
+
+
+def code(simulator: str) -> str:
+    """Ten digits that stand for the source of the library and of a simulator (of tests)."""
+    digest = hashlib.sha256()
+    for folder in (ROOT / "src" / "difffric", ROOT / "tests" / simulator):
+        for path in sorted(folder.glob("*.py")):
+            digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()[:10]
+
+
+def load(folder: Path, name: str) -> list[dict]:
+    """The lines of one part, in the order of the cases; a line cut short is left out."""
+    path, lines = folder / f"{name}.jsonl", {}
+    if path.exists():
+        for text in path.read_text(encoding="utf-8").splitlines():
+            try:
+                line = json.loads(text)
+            except json.JSONDecodeError:
+                continue
+            lines[line["case"]] = line
+    return [lines[case] for case in sorted(lines)]
+
+
+def run(
+    name: str,
+    folder: Path,
+    cases: int,
+    one: Callable[[int], dict],
+    shard: tuple[int, int] = (1, 1),
+    told: Callable[[dict], str] | None = None,
+) -> None:
+    """Do the first `cases` of a part that are not there yet; `told` says a line of each."""
+    folder.mkdir(parents=True, exist_ok=True)
+    there = {line["case"] for line in load(folder, name)}
+    todo = [i for i in range(cases) if i not in there and i % shard[1] == shard[0] - 1]
+    began = time.perf_counter()
+    for done, case in enumerate(todo, 1):
+        line = one(case)
+        _append(folder / f"{name}.jsonl", json.dumps(line, allow_nan=True))
+        each = (time.perf_counter() - began) / done
+        left = each * (len(todo) - done) / 60
+        if told is not None:
+            print(told(line), file=sys.stderr)
+        say = f"\r{name}: {done} of {len(todo)}, {each:.1f} s each, {left:.0f} min left "
+        print(say, end="", file=sys.stderr, flush=True)
+    if todo:
+        print(file=sys.stderr)
+
+
+def _append(path: Path, line: str) -> None:
+    """On a line of its own, whatever became of the last one."""
+    cut = path.exists() and path.read_bytes()[-1:] not in (b"", b"\n")
+    with path.open("a", encoding="utf-8") as file:
+        file.write("\n" * cut + line + "\n")
+
+
+def into(page: str, text: str, mark: str = "study") -> str:
+    """The page with the text between its marks; they are added at its end where missing."""
+    start, end = f"<!-- {mark}:start -->", f"<!-- {mark}:end -->"
+    block = f"{start}\n{text}\n{end}"
+    marked = re.compile(re.escape(start) + ".*?" + re.escape(end), re.DOTALL)
+    if marked.search(page):
+        return marked.sub(lambda _: block, page)
+    return f"{page.rstrip()}\n\n{block}\n".lstrip()
+
+
+def write_into(page: Path, text: str, mark: str = "study") -> None:
+    """The same, of a file."""
+    before = page.read_text(encoding="utf-8") if page.exists() else ""
+    page.write_text(into(before, text, mark), encoding="utf-8")
+
+
+def prepare() -> None:
+    """Compiled programs are stored, as the tests' are, and a failed step is a NaN, which the fit
+    takes as a refusal. Before JAX is imported."""
+    from tests import conftest  # 64 bits, and the store of compiled programs
+
+    assert conftest.CACHE
+    os.environ.setdefault("EQX_ON_ERROR", "nan")
+
+
+def arguments(
+    program: str, text: str, parts: Sequence[str], page: Path, words: Sequence[str] | None
+) -> tuple[argparse.Namespace, tuple[int, int]]:
+    """The command line, and the shard."""
+    parser = argparse.ArgumentParser(prog=f"python -m {program}", description=text)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("--only", choices=parts, action="append", help="parts (default: all)")
+    parser.add_argument("--cases", type=int, help="how many of each part (default: all)")
+    parser.add_argument("--shard", default="1/1", help="i/n: the i-th of n processes")
+    parser.add_argument("--results", type=Path, default=RESULTS)
+    parser.add_argument("--page", type=Path, default=page)
+    asked = parser.parse_args(words)
+    i, n = (int(x) for x in asked.shard.split("/"))
+    return asked, (i, n)
