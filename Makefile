@@ -24,7 +24,7 @@ demo: $(READY)  ## the paper's tables and figures, into out/paper
 	$(BIN)/difffric paper --out out/paper
 
 test: $(READY)  ## the tests
-	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
 
 study: $(READY)  ## a study of 1800 calibrations (hours; CASES=50: of fewer), then the slow tests
 	$(BIN)/python -m tests.study $(if $(CASES),--cases $(CASES))

@@ -76,11 +76,13 @@ Made data: the truth is known, and a fit can be held against it.
 | `pushes.csv` | {n} pushes, DRY and OILY: `F_p` and `d` with their standard errors |
 | `pushes.tdms` | the same {n} pushes recorded: force and position at 10 kHz |
 | `slides.csv` | {slides} free slides, DRY and OILY: release speed and distance |
+| `hidden/` | 10 recordings of a rig in which friction falls with speed, its rough set-up, its truth |
 | `truth.json` | what they were made with: the rig, each push's own `mu_s`, its `F_p` and `d` |
 
 ```sh
 difffric fit examples/pushes.tdms --setup examples/setup.toml --out out/fit
 difffric identify examples/pushes.csv --setup examples/setup.toml --out out/identify
+difffric diagnose examples/hidden/pushes.tdms --setup examples/hidden/setup.toml --out out/diagnose
 ```
 
 ## How they were made
@@ -98,6 +100,12 @@ motion. Their noise is white, {force:g} N and {position:g} µm; the force is rou
 of a 16-bit converter over ±446 N, the position to 20 nm, from a zero that differs from push to
 push. Noise of the table: {force_se:g} N and {distance_se:g} µm; of the slides:
 {slide_velocity_se:g} % in speed and {slide_distance_se:g} µm.
+
+`hidden/` is made by the simulator of the tests of `diagnose`, with an effect of 5 % of `F_p` or `d`:
+
+```sh
+.venv/bin/python -m tests.hidden.make_examples
+```
 """
 
 
