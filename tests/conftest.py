@@ -10,7 +10,16 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 os.environ["JAX_ENABLE_X64"] = "1"
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
-LONGEST = ("diagnose", "integrate", "fit", "notebooks", "paper", "cli_fit", "docs", "identification")
+LONGEST = (
+    "diagnose",
+    "integrate",
+    "fit",
+    "notebooks",
+    "paper",
+    "cli_fit",
+    "docs",
+    "identification",
+)
 """Files that take longest: on several cores they begin, so that none is left over at the end."""
 
 

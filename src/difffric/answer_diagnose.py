@@ -8,7 +8,7 @@ from pathlib import Path
 from difffric import figures_diagnose
 from difffric.report import Picture, Report, Section, Table, number
 from difffric.setup_file import write_setup
-from difffric.units import to_mm_min, to_um
+from difffric.units import to_mm, to_mm_min, to_um
 from difffric.verdict import ADEQUATE, AMBIGUOUS, NAMED, Cause, Diagnosis
 
 _VERDICTS = {
@@ -47,12 +47,17 @@ def _row(cause: Cause) -> list[str]:
 
 
 _COLUMNS = (
-    "effect", "component", "size", "probability", "confusable with", "chi-square drop",
-    "changes mu_s by",
-)  # fmt: skip
+    "effect",
+    "component",
+    "size",
+    "probability",
+    "confusable with",
+    "drop of χ²",
+    "moves mu_s",
+)
 
 
-def considered_table(found: Diagnosis, gain: str = "gain on held-out pushes") -> Table:
+def considered_table(found: Diagnosis, gain: str = "gain held out") -> Table:
     """The leading effects, each alone on top of the plain model."""
     rows = [
         [
@@ -65,8 +70,26 @@ def considered_table(found: Diagnosis, gain: str = "gain on held-out pushes") ->
         ]
         for cause in found.considered
     ]
-    columns = ("effect", "component", "size", "drop of -2 log likelihood", gain, "p-value")
+    columns = ("effect", "component", "size", "drop of -2 log L", gain, "p-value")
     return Table("The leading effects, each alone on top of the plain model", columns, rows)
+
+
+def experiment_table(found: Diagnosis) -> Table:
+    """The pushes that would tell more."""
+    rows = [
+        [
+            " or ".join(x if x != "plain" else "nothing" for x in one.separates),
+            number(to_mm_min(one.velocity_m_per_s)),
+            number(one.mass_kg, 3),
+            "–" if one.stroke_m is None else number(to_mm(one.stroke_m), 3),
+            number(one.rest_before_s, 3),
+            number(one.separation, 2),
+        ]
+        for one in found.experiments
+    ]
+    columns = ("tells", "v [mm/min]", "mass [kg]", "stroke [mm]", "rest before [s]",
+               "apart by [standard deviations]")  # fmt: skip
+    return Table("The push that would tell most", columns, rows)
 
 
 def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
@@ -131,9 +154,10 @@ def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
     reasons = [[name, why] for name, why in found.impossible.items()]
     reasons += [[name, "too small a trace in these pushes at its typical size"] for name in unseen]
     if found.experiments:
-        rows = [[str(one)] for one in found.experiments]
-        sections.append(Section("What to push next", tables=(Table("", ("",), rows),)))
+        sections.append(Section("What to push next", tables=(experiment_table(found),)))
     if reasons:
         table = Table("Not to be seen in these data", ("effect", "why"), reasons)
-        sections.append(Section("What these data cannot say", found.notes, (table,)))
+        sections.append(Section("What these data cannot say", tables=(table,)))
+    if found.notes:
+        sections.append(Section("Notes", found.notes))
     return Report("Diagnosis", tuple(summary), tuple(sections))

@@ -53,7 +53,7 @@ def paper_report(paper: Paper) -> Report:
             Section(
                 "Which cause",
                 _diagnosis_text(paper),
-                [considered_table(paper.diagnosis, "gain on held-out speeds")],
+                [considered_table(paper.diagnosis, "gain, speeds held out")],
             ),
             Section(
                 "Calibration",

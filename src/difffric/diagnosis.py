@@ -56,6 +56,8 @@ _FEWEST = 3
 """Pushes from which on one can be held out."""
 _VISIBLE = 3.0
 """Standard deviations at its typical size from which an effect can be seen."""
+_HIDING = 6
+"""Steps in which the plain model takes up what an invisible effect does."""
 _TEXT = {RATIO: "mu_k / mu_s is not what the set-up says"}
 
 
@@ -150,7 +152,8 @@ class _Diagnosis:
                     lambda s, k=k: self.tell("looking for a cause", 0.3 + 0.15 * (k + s)),
                     far=far(task, base),
                 )  # fmt: skip
-                better = relieved(task, base, found) if far(task, base) else None
+                suspect = far(task, base) or any(c.p_value < SIGNIFICANT for c in found)
+                better = relieved(task, base, found) if suspect else None
                 if better is None:
                     break
                 base = better
@@ -258,7 +261,7 @@ class _Diagnosis:
             rig=rig,
             setup=extended_setup(self.setup, rig, task, base),
             mu_s=tuple(np.exp(base.mu[0, task.condition] + base.own[0]).tolist()),
-            notes=(*self.fit.notes, *self.notes),
+            notes=(*(f"the plain fit: {x}" for x in self.fit.notes), *self.notes),
             work=(self.data, plain, base, before, after),
         )
 
@@ -280,7 +283,9 @@ class _Diagnosis:
             names = numbers_of(effect)
             typical = {n: 0.8 if effect == RATIO else KEYS[n][1].typical for n in names}
             c[0, coordinates.indices(names)] = coordinates.point(typical)
-            pairs.append(((effect, "plain"), replace(base, c=c), base))
+            # As large as is typical, and hidden in these data by what else is free.
+            there = replace(base, c=c, gram=None, residual=None, damping=None)
+            pairs.append(((effect, "plain"), refits.refitted(task, there, _HIDING), base))
         return next_experiment(self.data, pairs)
 
     def _squares(self, fits: Fits, base: Fits) -> NDArray:

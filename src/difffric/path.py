@@ -17,7 +17,6 @@ from difffric.rig import Rig
 from difffric.sensing import Filtered, Passed
 from difffric.stride import Stride
 
-
 _FEW = 16
 """Strides that filters are taken through at once."""
 
@@ -179,7 +178,5 @@ def _with_filters(path: Path, steps) -> Path:
         put = lambda whole, new: whole.at[index].set(new, mode="drop")  # noqa: E731
         return first + _FEW, state, jax.tree.map(put, table, passed)
 
-    _, _, table = jax.lax.while_loop(
-        lambda carry: carry[0] < steps, turn, (0, (zero, zero), table)
-    )
+    _, _, table = jax.lax.while_loop(lambda carry: carry[0] < steps, turn, (0, (zero, zero), table))
     return path._replace(filtered_strides=table)
