@@ -26,8 +26,9 @@ demo: $(READY)  ## the paper's tables and figures, into out/paper
 test: $(READY)  ## the tests
 	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
 
-study: $(READY)  ## a study of 1800 calibrations (hours; CASES=50: of fewer), then the slow tests
+study: $(READY)  ## 1800 calibrations, 3730 diagnoses (a day; CASES=50: of each part), the slow tests
 	$(BIN)/python -m tests.study $(if $(CASES),--cases $(CASES))
+	$(BIN)/python -m tests.diagnosis_study $(if $(CASES),--cases $(CASES))
 	$(BIN)/python -m pytest -m slow
 
 bench: $(READY)  ## the benchmarks, into .benchmarks/latest.json

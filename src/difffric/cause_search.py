@@ -18,6 +18,10 @@ from difffric.shape_scan import SHAPED, shape_starts
 
 _LEADERS, _SCORED = 5, 3
 """Effects that are refitted to all pushes: the best of the scan, and of the score test."""
+_BLIND = 1.0
+"""Standard deviations at its typical size below which an effect's score test sees nothing."""
+_TESTED = 6
+"""Effects that the score tests choose where the misfit is small."""
 _TRIALS = 10
 """How many independent looks a scan over a wavelength, a place or a speed is worth."""
 _ROUNDS = 15
@@ -105,41 +109,42 @@ def score_tests(task: Task, base: Fits, effects: Sequence[str]) -> dict[str, Sco
 
 
 def starts_of(
-    task: Task,
-    base: Fits,
-    effect: str,
-    scales: Scales,
-    score: Score | None,
-    some: NDArray,
-    far: bool = True,
+    task: Task, base: Fits, effect: str, scales: Scales, some: NDArray, far: bool = True
 ) -> Fits:
-    """An ensemble of starts for one effect on top of `base` (an ensemble of one); unless `far`,
-    for one that has a score test only where that leads."""
+    """Starts for one effect on top of `base` (an ensemble of one), wherever it may be."""
+    if effect in SHAPED:
+        return shape_starts(task, base, effect, scales, some, far)
     coordinates = task.model.coordinates
-    index = [coordinates.index(name) for name in numbers_of(effect)]
-    rows = []
-    if score is not None and not far:
-        pass
-    elif effect in SHAPED:
-        rows = shape_starts(task, base, effect, scales, some).tolist()
-    else:
-        for values in grid(effect, scales):
-            rows.append(coordinates.point(values))
-    if score is not None and score.drop > 0:
-        bounds = np.array([coordinates.bounds(name) for name in numbers_of(effect)])
-        now = base.c[0, index] + np.array(score.step)
-        rows.append(np.clip(now, bounds[:, 0], bounds[:, 1]).tolist())
-    m = len(rows)
-    c = np.repeat(base.c, m, axis=0)
-    c[:, index] = np.reshape(rows, (m, len(index)))
-    return Fits(
-        extra=((*base.extra[0], *index),) * m,
-        c=c,
-        mu=np.repeat(base.mu, m, axis=0),
-        own=np.repeat(base.own, m, axis=0),
-        scatter=np.repeat(base.scatter, m),
-        spread=np.repeat(base.spread, m, axis=0),
-    )
+    rows = [coordinates.point(values) for values in grid(effect, scales)]
+    return _at(task, base, effect, np.array(rows))
+
+
+def score_starts(
+    task: Task, base: Fits, effects: Sequence[str], scores: dict[str, Score]
+) -> tuple[Fits, list[str]]:
+    """Where the score tests lead, the rest of the model where it would be beside each effect; for
+    effects that explain anything."""
+    coordinates = task.model.coordinates
+    known = [e for e in effects if e in scores and scores[e].drop > 0]
+    if not known:
+        return base.pick(np.zeros(0, int)), known
+    parts = []
+    for e in known:
+        index = coordinates.indices(numbers_of(e))
+        beside = [_BESIDE if coordinates.names[i] in _INVERSE else -np.inf for i in index]
+        parts.append(_at(task, base, e, np.maximum(base.c[:, index], beside)))
+    fits = en.evaluated(task, en.together(*parts))
+    return replace(refits.moved(task, fits, 0.0), residual=None), known
+
+
+def _at(task: Task, base: Fits, effect: str, rows: NDArray) -> Fits:
+    """`base` with these coordinates (m, numbers) of an effect, which are free."""
+    index = task.model.coordinates.indices(numbers_of(effect))
+    fits = base.pick(np.zeros(len(rows), int))
+    c = fits.c.copy()
+    c[:, index] = rows
+    extra = ((*base.extra[0], *index),) * len(rows)
+    return replace(fits, extra=extra, c=c, gram=None, residual=None, damping=None)
 
 
 def explore(
@@ -155,52 +160,10 @@ def explore(
 
     `far`: whether the misfit is so large that what is linear at an effect's null may be wrong.
     """
-    # A table's pushes are followed in less time: all of them, by more effects.
-    quick = not task.model.recordings
-    effects, some = list(effects), np.arange(task.n) if quick else subset_of(task)
-    # Beside a strong effect the plain fit has bent each push's own mu_s: start from equal ones too.
-    bases = [base, replace(base, own=np.zeros_like(base.own))] if far and task.mu_free else [base]
-    starts = [
-        starts_of(task, at, e, scales, scores.get(e) if at is base else None, some, far)
-        for at in bases for e in effects
-    ]  # fmt: skip
-    from_ = np.concatenate([np.full(s.m, k) for k, s in enumerate(starts)])
-    fits, owner = en.evaluated(task, en.together(*starts), some), from_ % len(effects)
-    tell(0.25)
-    cost, promised = _promised(task, fits)
-    # Of each effect the best by what one step promises, and the best as it stands.
-    keep = set()
-    for k in dict.fromkeys(from_.tolist()):
-        mine = np.flatnonzero(from_ == k)
-        keep |= {*mine[np.argsort(promised[mine])[: 2 if quick and not far else 1]]}
-        keep |= {mine[np.argmin(cost[mine])]}
-    keep = np.array(sorted(keep))
-    fits, owner = refits.refitted(task, fits.pick(keep), 3, some), owner[keep]
-    tell(0.5)
-    if far:
-        first = np.argsort(en.settled_cost(task, fits))[:_REOWNED]
-        fits, owner = refits.reowned(task, fits.pick(first), some), owner[first]
-        fits = refits.refitted(task, fits, 2, some)
-    fits, owner = _best_of_each(task, fits, owner)
-    fits = refits.refitted(task, fits, 4, some)
-    tell(0.65)
-    subset_cost = en.settled_cost(task, fits)
-    leaders = list(np.argsort(subset_cost)[: 2 * _LEADERS if quick else _LEADERS])
-    by_score = sorted(range(fits.m), key=lambda j: -_drop(scores.get(effects[int(owner[j])])))
-    leaders += [j for j in by_score[:_SCORED] if j not in leaders]
-    fits, owner = fits.pick(leaders), owner[leaders]
-    starts = _on_all(task, base, fits, effects, owner, some)
-    behind = np.tile(owner, 2)
-    for k in owner:  # and from where the score test leads
-        score = scores.get(effects[int(k)])
-        if score is not None and score.drop > 4:
-            near = starts_of(task, base, effects[int(k)], scales, score, some, far=False)
-            starts, behind = en.together(starts, near), np.append(behind, k)
-    starts = en.evaluated(task, starts)
-    first = _first_of_each(_promised(task, starts)[1], behind)
-    fits, owner = refits.refitted(task, starts.pick(first), 2), behind[first]
+    search = _far if far else _near
+    fits, behind = search(task, base, list(effects), scales, scores, tell)
     before = float(en.criterion(task, base)[0])
-    fits, owner = _within_reach(task, fits, owner, before)
+    fits, behind = _within_reach(task, fits, behind, before)
     fits = refits.refitted(task, refits.reowned(task, fits) if far else fits, _ROUNDS)
     if far:
         again = refits.reowned(task, fits)
@@ -209,7 +172,7 @@ def explore(
     value = en.criterion(task, fits)
     out = []
     for j in range(fits.m):
-        effect = effects[int(owner[j])]
+        effect = behind[j]
         drop = before - float(value[j])
         k = len(numbers_of(effect))
         out.append(
@@ -221,12 +184,81 @@ def explore(
     return sorted(out, key=lambda c: -c.penalised_drop)
 
 
-def _within_reach(task: Task, fits: Fits, owner, before: float) -> tuple[Fits, NDArray]:
+def _near(task: Task, base: Fits, effects: list[str], scales, scores, tell):
+    """(the leading effects' fits, their names) where what is linear at the null is right: the
+    score tests choose, and all pushes are looked at, as each may hold what little there is. What a
+    score test does not see (a dwell, where nothing sticks at the null) is looked for on a grid."""
+    by_score = sorted(scores, key=lambda e: -scores[e].drop)
+    fits, behind = score_starts(task, base, by_score[:_TESTED], scores)
+    parts = [fits]
+    for e in effects:
+        if e not in scores or scores[e].visible < _BLIND:
+            new = starts_of(task, base, e, scales, np.arange(task.n), far=False)
+            parts.append(new)
+            behind = [*behind, *[e] * new.m]
+    fits = en.evaluated(task, en.together(*parts))
+    tell(0.3)
+    _, promised = _promised(task, fits)
+    keep = []
+    for e in dict.fromkeys(behind):
+        mine = np.array([j for j, x in enumerate(behind) if x == e])
+        keep += mine[np.argsort(promised[mine])[:2]].tolist()
+    fits, behind = refits.refitted(task, fits.pick(keep), 3), [behind[j] for j in keep]
+    tell(0.6)
+    cost = en.criterion(task, fits)
+    charged = cost + task.price * np.array([len(numbers_of(e)) for e in behind])
+    best = sorted(_first_of_each(cost, behind), key=lambda j: charged[j])[:_LEADERS]
+    return fits.pick(best), [behind[j] for j in best]
+
+
+def _far(task: Task, base: Fits, effects: list[str], scales, scores, tell):
+    """The same where the misfit is large: sizes on a grid, from some pushes to all of them."""
+    # A table's pushes are followed in less time: all of them, by more effects.
+    quick = not task.model.recordings
+    some = np.arange(task.n) if quick else subset_of(task)
+    # Beside a strong effect the plain fit has bent each push's own mu_s: start from equal ones too.
+    bases = [base, replace(base, own=np.zeros_like(base.own))] if task.mu_free else [base]
+    starts = [starts_of(task, at, e, scales, some) for at in bases for e in effects]
+    from_ = np.concatenate([np.full(s.m, k) for k, s in enumerate(starts)])
+    fits, owner = en.evaluated(task, en.together(*starts), some), from_ % len(effects)
+    tell(0.25)
+    cost, promised = _promised(task, fits)
+    # Of each effect the best by what one step promises, and the best as it stands.
+    keep = set()
+    for k in dict.fromkeys(from_.tolist()):
+        mine = np.flatnonzero(from_ == k)
+        keep |= {mine[np.argmin(promised[mine])], mine[np.argmin(cost[mine])]}
+    keep = np.array(sorted(keep))
+    fits, owner = refits.refitted(task, fits.pick(keep), 3, some), owner[keep]
+    tell(0.5)
+    first = np.argsort(en.settled_cost(task, fits))[:_REOWNED]
+    fits, owner = refits.reowned(task, fits.pick(first), some), owner[first]
+    fits = refits.refitted(task, fits, 2, some)
+    fits, owner = _best_of_each(task, fits, owner)
+    fits = refits.refitted(task, fits, 4, some)
+    tell(0.65)
+    subset_cost = en.criterion(task, fits)
+    leaders = list(np.argsort(subset_cost)[: 2 * _LEADERS if quick else _LEADERS])
+    by_score = sorted(range(fits.m), key=lambda j: -_drop(scores.get(effects[int(owner[j])])))
+    leaders += [j for j in by_score[:_SCORED] if j not in leaders]
+    fits, owner = fits.pick(leaders), owner[leaders]
+    starts = _on_all(task, base, fits, effects, owner, some)
+    behind = np.tile(owner, 2)
+    # And from where the score tests lead.
+    near, known = score_starts(task, base, [effects[int(k)] for k in owner], scores)
+    starts = en.evaluated(task, en.together(starts, near))
+    behind = np.append(behind, [effects.index(e) for e in known]).astype(int)
+    first = _first_of_each(_promised(task, starts)[1], behind)
+    fits, owner = refits.refitted(task, starts.pick(first), 2), behind[first]
+    return fits, [effects[int(k)] for k in owner]
+
+
+def _within_reach(task: Task, fits: Fits, names, before: float) -> tuple[Fits, list[str]]:
     """Those that explain a fair share of what the best does by now, and the first few."""
     gain = before - en.criterion(task, fits)
     order = np.argsort(-gain)
     keep = [j for k, j in enumerate(order) if k < _SURE or gain[j] > _FAIR * gain[order[0]]]
-    return fits.pick(keep), np.asarray(owner)[keep]
+    return fits.pick(keep), [names[j] for j in keep]
 
 
 def _on_all(task: Task, base: Fits, fits: Fits, effects, owner, some) -> Fits:
@@ -263,10 +295,13 @@ def _promised(task: Task, fits: Fits) -> tuple[NDArray, NDArray]:
     return found.cost, found.cost + np.minimum(gain, 0.0)
 
 
-def _first_of_each(cost: NDArray, owner: NDArray) -> list[int]:
-    return [
-        int(np.flatnonzero(owner == k)[np.argmin(cost[owner == k])]) for k in dict.fromkeys(owner)
-    ]
+def _first_of_each(cost: NDArray, owner: Sequence | NDArray) -> list[int]:
+    """The number of the least cost of each owner's."""
+    best: dict = {}
+    for j, k in enumerate(owner):
+        if k not in best or cost[j] < cost[best[k]]:
+            best[k] = j
+    return list(best.values())
 
 
 def _best_of_each(task: Task, fits: Fits, owner: NDArray) -> tuple[Fits, NDArray]:

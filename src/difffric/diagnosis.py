@@ -223,8 +223,7 @@ class _Diagnosis:
         after = lack_of_fit(task, base)
         held = [self._squares(x, base) for x in (plain, base)]
         numbers = task.counts.sum()
-        slides = task.model.kind == SLIDES
-        spent = 0 if slides else task.n * (task.mu_free + task.model.recordings)
+        spent = 0 if self.single else task.n * (task.mu_free + task.model.recordings)
         floor = float(np.sqrt(max(numbers - spent, 1) / numbers))
         error = [float(np.sqrt(h.sum() / numbers)) for h in held]
         gain = Gain(error[0], error[1], floor)
@@ -288,12 +287,18 @@ class _Diagnosis:
             pairs.append(((effect, "plain"), refits.refitted(task, there, _HIDING), base))
         return next_experiment(self.data, pairs)
 
+    @property
+    def single(self) -> bool:
+        """Whether each push has a single number."""
+        task = self.data.task
+        return task.mu_free and bool((task.counts.sum(axis=1) <= 1).all())
+
     def _squares(self, fits: Fits, base: Fits) -> NDArray:
-        """(1, n) of each held-out push in units of the noise; of a free slide, whose one number
-        would be fitted by a mu_s of its own, in units of the plain model's scatter."""
+        """(1, n) of each held-out push in units of the noise; of one whose single number would be
+        fitted by a mu_s of its own, as a free slide's, in units of the plain model's scatter."""
         task = self.data.task
         found = refits.held_out(task, replace(fits, spread=base.spread), self.folds)
-        if task.model.kind != SLIDES:
+        if not self.single:
             return found.squares
         plain = replace(fits, scatter=self.plain_scatter)
         return refits.held_out(task, plain, self.folds).penalised

@@ -9,7 +9,7 @@ import numpy as np
 from difffric import parameters
 from difffric.blocks import stacked_blocks
 from difffric.candidates import Scales, numbers_of
-from difffric.effects import CATALOGUE, RATIO
+from difffric.effects import CATALOGUE, FORCE, PROBE, RATIO
 from difffric.ensemble import Fits, Task
 from difffric.extended_coordinates import PLAIN, Coordinates
 from difffric.extended_model import RECORDINGS, SLIDES, TABLE, ExtendedModel, Pushes, without
@@ -117,6 +117,13 @@ def _impossible(measured: Measured, reduction, mass, span, slides) -> dict[str, 
     if reduction is not None:
         for name in NOT_IN_RECORDINGS:
             out[name] = "recordings hold the samples themselves"
+    for component, there, what in (
+        (FORCE, measured.peak_force, "force"),
+        (PROBE, measured.sliding_distance, "position"),
+    ):
+        if not np.isfinite(there).any() and not slides:
+            own = [e for e, one in CATALOGUE.items() if one.component == component]
+            out |= {e: f"no {what} was recorded" for e in own if e not in out}
     return out
 
 

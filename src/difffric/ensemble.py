@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from difffric.extended_model import ExtendedModel
 
-_SCATTERS = np.concatenate([[1e-6], np.geomspace(3e-4, 0.3, 24)])
+_SCATTERS = np.geomspace(1e-6, 0.3, 40)
 """Relative scatters of mu_s that are looked at."""
 REJECTED = 1e12
 """The square of a residual where a push could not be followed."""

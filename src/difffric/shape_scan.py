@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric import ensemble as en
+from difffric import refits
 from difffric.candidates import Scales
 from difffric.ensemble import Fits, Task
 
@@ -38,10 +39,13 @@ _PLACES = 14
 """Places within the shortest way, and again as many beyond it."""
 
 
-def shape_starts(task: Task, base: Fits, effect: str, scales: Scales, some: NDArray) -> NDArray:
-    """(starts, numbers) coordinates of the effect's numbers from which a search may start.
+def shape_starts(
+    task: Task, base: Fits, effect: str, scales: Scales, some: NDArray, far: bool
+) -> Fits:
+    """Starts of a search for one effect on top of `base` (an ensemble of one).
 
-    `some`: numbers of the pushes that a scan looks at.
+    `some`: numbers of the pushes that a scan looks at. Unless `far` the rest of the model is where
+    it would be beside the effect, to first order.
     """
     key, phase = SHAPED[effect]
     names = [f"{effect}.amplitude", f"{effect}.{key}"]
@@ -52,21 +56,21 @@ def shape_starts(task: Task, base: Fits, effect: str, scales: Scales, some: NDAr
         low, high = np.min(way), np.max(way)
         shapes = np.linspace(0.04, 1.0, _PLACES) * low
         shapes = np.append(shapes, np.linspace(low, high, _PLACES)[1:-1])
-        drop, starts = _scores(task, base, index, shapes, some)
-        return starts[_peaks(drop)[:_STARTS]]
+        drop, starts = _scores(task, base, index, shapes, some, far)
+        return starts.pick(_peaks(drop)[:_STARTS])
     near = some[np.argsort(way[some], kind="stable")]
     if task.model.recordings and len(near) > _FIRST.stop:  # of a table each push says little
-        near = near[_FIRST]
+        near = near[_FIRST] if far else near[_FIRST.start : 2 * _FIRST.stop]
     short, long = np.max(way[near]), np.max(way[some])
     step = 1.0 / (3.0 * short)
     last = min(1.0 / SHORTEST, 0.5 / short + MOST * step)
     turns = np.arange(0.5 / short, last + step, step)
-    drop, _ = _scores(task, base, index, 1.0 / turns, near)
+    drop, _ = _scores(task, base, index, 1.0 / turns, near, far)
     fine = 1.0 / (3.0 * long)
     spread = np.arange(-0.5 * step, 0.5 * step + 1e-9, fine)
     between = (turns[_peaks(drop)[:_PEAKS], None] + spread).ravel()
-    drop, starts = _scores(task, base, index, 1.0 / between[between > 0], some)
-    return starts[_peaks(drop)[:_STARTS]]
+    drop, starts = _scores(task, base, index, 1.0 / between[between > 0], some, far)
+    return starts.pick(_peaks(drop)[:_STARTS])
 
 
 def _peaks(values: NDArray) -> NDArray:
@@ -76,8 +80,8 @@ def _peaks(values: NDArray) -> NDArray:
     return top[np.argsort(-values[top])]
 
 
-def _scores(task: Task, base: Fits, index: Sequence[int], shapes, pushes) -> tuple:
-    """(predicted drop (m,), coordinates of amplitude, shape and phase there (m, 2 or 3))."""
+def _scores(task: Task, base: Fits, index: Sequence[int], shapes, pushes, far: bool) -> tuple:
+    """(predicted drop (m,), fits there with the amplitude and phase that are predicted)."""
     coordinates, m = task.model.coordinates, len(shapes)
     amplitude, shape = index[:2]
     free = [amplitude, *index[2:]]
@@ -89,7 +93,8 @@ def _scores(task: Task, base: Fits, index: Sequence[int], shapes, pushes) -> tup
     c[:, index] = at
     whole = base.pick(np.zeros(m, int))
     fits = replace(whole, extra=((*base.extra[0], *free),) * m, c=c, gram=None, residual=None)
-    found = en.normal(task, en.evaluated(task, fits, pushes))
+    fits = en.evaluated(task, replace(fits, damping=None), pushes)
+    found = en.normal(task, fits)
     known = found.H.shape[1] - len(free)
     drop = np.zeros(m)
     for j in range(m):
@@ -107,4 +112,10 @@ def _scores(task: Task, base: Fits, index: Sequence[int], shapes, pushes) -> tup
     size = np.abs(at[:, 0]) if len(index) == 2 else np.hypot(at[:, 0], at[:, 2])
     shrink = np.minimum(1.0, _LARGEST / coordinates.unit[amplitude] / np.maximum(size, 1e-12))
     at[:, [0, *range(2, len(index))]] *= shrink[:, None]
-    return drop, at
+    if far:
+        c = c.copy()
+        c[:, index] = at
+        new = replace(fits, c=c, gram=None, residual=None)
+    else:
+        new = refits.moved(task, fits, 0.0)
+    return drop, replace(new, extra=((*base.extra[0], *index),) * m, residual=None)
