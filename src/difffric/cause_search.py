@@ -14,7 +14,7 @@ from difffric import refits
 from difffric.candidates import LOCAL, Scales, grid, numbers_of
 from difffric.effects import KEYS
 from difffric.ensemble import Fits, Task, subset_of
-from difffric.shape_scan import SHAPED, shape_starts
+from difffric.shape_scan import SHAPED, shape_starts, within_the_way
 
 _LEADERS, _SCORED = 5, 3
 """Effects that are refitted to all pushes: the best of the scan, and of the score test."""
@@ -173,6 +173,8 @@ def explore(
     out = []
     for j in range(fits.m):
         effect = behind[j]
+        if not within_the_way(task, fits.c[j], effect, scales):
+            continue
         drop = before - float(value[j])
         k = len(numbers_of(effect))
         out.append(

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from difffric import cause_search as search
 from difffric import ensemble as en
 from difffric import refits
-from difffric.candidates import component_of, numbers_of
+from difffric.alternatives import alternatives
+from difffric.candidates import LOCAL, component_of, numbers_of
 from difffric.cause_search import Candidate, Score
 from difffric.certificates import Certificate, unreachable
 from difffric.diagnosis_start import folds_of, start_of
@@ -170,10 +171,13 @@ class _Diagnosis:
             if np.sqrt(max(best.drop, 0.0) / total) < self.share:
                 small += [c for c in found if c.penalised_drop > 0]
                 break
-            named.append((best, tuple(found)))
             # Strong effects take many steps: what is left has to be the best fit's.
-            base = refits.refitted(task, best.fits, 40)
-            named, base = self._without_needless(plain, named, base)
+            new = refits.refitted(task, best.fits, 40)
+            more, new = self._without_needless(plain, [*named, (best, tuple(found))], new)
+            if not self._gains(base, new):
+                break
+            named, base = more, new
+        named = [(best, self._with_alternatives(plain, base, best, x)) for best, x in named]
         self.certificates = unreachable(data.measured, self.setup.rig)
         if self.certificates and not named:
             # The plain model is wrong for certain: what may mend it is in question.
@@ -322,6 +326,12 @@ class _Diagnosis:
         if left > LEFT or found.penalised_drop > drop - numbers * task.price:
             return found
         return None
+
+    def _with_alternatives(self, plain, base, best: Candidate, others) -> tuple[Candidate, ...]:
+        """What the search compared a cause with, and what else could stand in its place."""
+        there = {c.effect for c in others}
+        more = [e for e in self.data.looked_for if e in LOCAL and e not in there]
+        return (*others, *alternatives(self.data.task, plain, base, best, more))
 
     def _alike(self, best: Candidate, others: Sequence[Candidate]) -> tuple[str, ...]:
         return tuple(

@@ -16,6 +16,10 @@ _STALE = 1.0
 _SETTLING = 2
 _BAD = 3.0
 """Squared residual per number from which a push fits badly."""
+_ASTRAY = 3.0
+"""Times what a push's squares are where it is fitted, or would be: a prediction beyond is no mere
+lack of data."""
+_ANEW = 10
 _OWN = np.linspace(-0.35, 0.35, 21)
 
 
@@ -190,8 +194,8 @@ class HeldOut(NamedTuple):
 def held_out(task: Task, fits: Fits, folds: NDArray) -> HeldOut:
     """Each push as predicted by a fit to the other folds. `folds` (n,) numbers each push's fold.
 
-    The parameters without a fold are one Gauss-Newton step from the fit to everything; the push
-    is then followed with them, exactly.
+    The parameters without a fold are one Gauss-Newton step from the fit to everything, or, where
+    that leads astray, fitted anew; the push is then followed with them, exactly.
     """
     parts = en.parts_of(task, fits)
     H_i, h, z, g_i, gm, _ = parts
@@ -202,13 +206,24 @@ def held_out(task: Task, fits: Fits, folds: NDArray) -> HeldOut:
     c = np.repeat(fits.c[:, None], task.n, axis=1)
     mu = np.zeros((fits.m, task.n))
     for fold in np.unique(folds):
-        inside = folds != fold
-        H, g = H_i[:, inside].sum(axis=1), g_i[:, inside].sum(axis=1)
+        out = folds == fold
+        H, g = H_i[:, ~out].sum(axis=1), g_i[:, ~out].sum(axis=1)
         at = _placed_at(task, fits, now + bounded(H, g, now, *limits))
-        for i in np.flatnonzero(~inside):
-            c[:, i] = at.c
-            mu[:, i] = at.mu[:, task.condition[i]]
-    own = fits.own
+        c[:, out], mu[:, out] = at.c[:, None], at.mu[:, task.condition[out]]
+    found = _predicted(task, fits, c, mu)
+    seen = np.einsum("mnk,mk->mn", fits.gram[..., -1, -1], 1.0 / fits.spread**2)
+    astray = found.squares > _ASTRAY * (seen + task.counts.sum(axis=1))
+    for j, fold in {(j, folds[i]) for j, i in np.argwhere(astray)}:
+        out = folds == fold
+        at = replace(fits.pick([j]), gram=None, residual=None, damping=None)
+        at = refitted(task, at, _ANEW, np.flatnonzero(~out))
+        c[j, out], mu[j, out] = at.c, at.mu[0, task.condition[out]]
+    return _predicted(task, fits, c, mu) if astray.any() else found
+
+
+def _predicted(task: Task, fits: Fits, c: NDArray, mu: NDArray) -> HeldOut:
+    """Pushes followed at coordinates c (m, n, K), log mu_s (m, n), their own re-estimated."""
+    own, c = fits.own, c.copy()
     squares, penalised, surprise = np.full((3, fits.m, task.n), np.inf)
     for _ in range(2):
         c[:, :, 0] = mu + own

@@ -35,6 +35,8 @@ _LARGEST = 0.7
 _PEAKS, _STARTS = 3, 4
 _FIRST = slice(1, 4)
 """Of the pushes by how far they reach, those that begin: not the slowest, which take longest."""
+_WAYS = 2.0
+"""A wave is no longer than so many of the longest ways."""
 _PLACES = 14
 """Places within the shortest way, and again as many beyond it."""
 
@@ -66,11 +68,20 @@ def shape_starts(
     last = min(1.0 / SHORTEST, 0.5 / short + MOST * step)
     turns = np.arange(0.5 / short, last + step, step)
     drop, _ = _scores(task, base, index, 1.0 / turns, near, far)
-    fine = 1.0 / (3.0 * long)
+    fine = 1.0 / (6.0 * long)
     spread = np.arange(-0.5 * step, 0.5 * step + 1e-9, fine)
     between = (turns[_peaks(drop)[:_PEAKS], None] + spread).ravel()
     drop, starts = _scores(task, base, index, 1.0 / between[between > 0], some, far)
     return starts.pick(_peaks(drop)[:_STARTS])
+
+
+def within_the_way(task: Task, c: NDArray, effect: str, scales: Scales) -> bool:
+    """Whether coordinates c show a good part of a wave, which else is anything that bends; of an
+    effect that does not wave, true."""
+    if effect not in SHAPED or SHAPED[effect][1] is None:
+        return True
+    name = f"{effect}.{SHAPED[effect][0]}"
+    return task.model.coordinates.values(c, [name])[0] < _WAYS * float(np.max(scales.ways))
 
 
 def _peaks(values: NDArray) -> NDArray:

@@ -76,7 +76,7 @@ Made data: the truth is known, and a fit can be held against it.
 | `pushes.csv` | {n} pushes, DRY and OILY: `F_p` and `d` with their standard errors |
 | `pushes.tdms` | the same {n} pushes recorded: force and position at 10 kHz |
 | `slides.csv` | {slides} free slides, DRY and OILY: release speed and distance |
-| `hidden/` | 10 recordings of a rig in which friction falls with speed, its rough set-up, its truth |
+| `hidden/` | 10 recordings of a rig whose friction falls with speed, its rough set-up, its truth |
 | `truth.json` | what they were made with: the rig, each push's own `mu_s`, its `F_p` and `d` |
 
 ```sh
@@ -101,7 +101,7 @@ of a 16-bit converter over ±446 N, the position to 20 nm, from a zero that diff
 push. Noise of the table: {force_se:g} N and {distance_se:g} µm; of the slides:
 {slide_velocity_se:g} % in speed and {slide_distance_se:g} µm.
 
-`hidden/` is made by the simulator of the tests of `diagnose`, with an effect of 5 % of `F_p` or `d`:
+`hidden/` is made by the simulator of the tests of `diagnose`; its effect is 5 % of `F_p` or `d`:
 
 ```sh
 .venv/bin/python -m tests.hidden.make_examples
