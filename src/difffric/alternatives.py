@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from difffric import ensemble as en
 from difffric import refits
 from difffric.candidates import numbers_of
-from difffric.cause_search import Candidate
+from difffric.cause_search import Candidate, beside_null
 from difffric.ensemble import Fits, Task
 
 _PARALLEL = 0.8
@@ -52,7 +52,7 @@ def alternatives(
 def _overlap(task: Task, plain: Fits, base: Fits, mine, index) -> tuple[float, NDArray]:
     """The share of an effect's information that the cause's numbers take, all else projected out;
     and the effect's size that does what the cause does."""
-    at = replace(base, extra=((*base.extra[0], *index),), gram=None, residual=None, damping=None)
+    at = beside_null(task, replace(base, extra=((*base.extra[0], *index),)))
     H = en.normal(task, en.evaluated(task, at)).H[0]
     known = task.conditions + len(task.shared)
     a = known + np.array([base.extra[0].index(i) for i in mine])

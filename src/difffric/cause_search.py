@@ -28,8 +28,10 @@ _ROUNDS = 15
 _SURE, _FAIR = 3, 0.3
 _REOWNED = 14
 """Fits of a scan whose pushes' own mu_s are looked for afresh."""
-_BESIDE = 1e-6
-_INVERSE = {name for name, (_, key) in KEYS.items() if key.inverse}
+_BESIDE = {name: 1e-6 for name, (_, key) in KEYS.items() if key.inverse}
+_BESIDE |= {"pusher_lag.tau_s": 1e-4}
+"""Coordinates beside a null at which there is no derivative (of the inverse of an acceleration), or
+none that steps of finite length find (of a lag shorter than a step)."""
 
 
 @dataclass(frozen=True)
@@ -76,11 +78,7 @@ def score_tests(task: Task, base: Fits, effects: Sequence[str]) -> dict[str, Sco
     for chunk in chunks:
         index = [[coordinates.index(x) for x in numbers_of(e)] for e in chunk]
         extra = (*base.extra[0], *(i for one in index for i in one))
-        # An inverse number (of an acceleration) has no derivative at its null, but beside it.
-        c = base.c.copy()
-        inside = [i for i in extra if coordinates.names[i] in _INVERSE]
-        c[0, inside] = np.maximum(c[0, inside], _BESIDE)
-        at = en.evaluated(task, replace(base, extra=(extra,), c=c))
+        at = en.evaluated(task, beside_null(task, replace(base, extra=(extra,))))
         found = en.normal(task, at)
         H, g = found.H[0], found.g[0]
         known = task.conditions + len(task.shared) + len(base.extra[0])
@@ -108,6 +106,16 @@ def score_tests(task: Task, base: Fits, effects: Sequence[str]) -> dict[str, Sco
     return out
 
 
+def beside_null(task: Task, fits: Fits) -> Fits:
+    """The fits (all with the same numbers free) where what is free has a derivative."""
+    c = fits.c.copy()
+    for i in fits.extra[0]:
+        name = task.model.coordinates.names[i]
+        if name in _BESIDE:
+            c[:, i] = np.maximum(c[:, i], _BESIDE[name])
+    return replace(fits, c=c, gram=None, residual=None)
+
+
 def starts_of(
     task: Task, base: Fits, effect: str, scales: Scales, some: NDArray, far: bool = True
 ) -> Fits:
@@ -124,15 +132,13 @@ def score_starts(
 ) -> tuple[Fits, list[str]]:
     """Where the score tests lead, the rest of the model where it would be beside each effect; for
     effects that explain anything."""
-    coordinates = task.model.coordinates
     known = [e for e in effects if e in scores and scores[e].drop > 0]
     if not known:
         return base.pick(np.zeros(0, int)), known
     parts = []
     for e in known:
-        index = coordinates.indices(numbers_of(e))
-        beside = [_BESIDE if coordinates.names[i] in _INVERSE else -np.inf for i in index]
-        parts.append(_at(task, base, e, np.maximum(base.c[:, index], beside)))
+        index = task.model.coordinates.indices(numbers_of(e))
+        parts.append(beside_null(task, _at(task, base, e, base.c[:, index])))
     fits = en.evaluated(task, en.together(*parts))
     return replace(refits.moved(task, fits, 0.0), residual=None), known
 
