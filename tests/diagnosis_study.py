@@ -181,7 +181,7 @@ def main(words: Sequence[str] | None = None) -> int:
     runs.prepare()
     folder = asked.results / "diagnosis" / runs.code("hidden")
     for group in asked.only or GROUPS:
-        count = asked.cases or GROUPS[group].count
+        count = GROUPS[group].count if asked.cases is None else asked.cases
         runs.run(group, folder, count, partial(run_case, group), shard, figures.told)
     everything = {group: runs.load(folder, group) for group in GROUPS}
     text = figures.markdown(everything, folder.name)
