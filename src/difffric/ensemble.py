@@ -338,6 +338,20 @@ def penalised(task: Task, fits: Fits, some: NDArray | None = None) -> NDArray:
 
 
 def covariance(task: Task, fits: Fits) -> NDArray:
-    """(m, P, P) of mu_s, the shared parameters and each fit's own, as coordinates."""
-    A, scale = _scaled(normal(task, fits).H)
-    return np.linalg.inv(A) / (scale[:, :, None] * scale[:, None, :])
+    """(m, P, P) of mu_s, the shared parameters and each fit's own, as coordinates; zero for what is
+    at a bound, where the others' are as if it were known."""
+    H = normal(task, fits).H
+    held = _at_bound(task, fits, H.shape[1])
+    held = held[:, :, None] | held[:, None, :]
+    A, scale = _scaled(np.where(held, 0.0, H))
+    return np.where(held, 0.0, np.linalg.inv(A) / (scale[:, :, None] * scale[:, None, :]))
+
+
+def _at_bound(task: Task, fits: Fits, P: int) -> NDArray:
+    """(m, P) which columns are at a bound."""
+    coordinates, out = task.model.coordinates, np.zeros((fits.m, P), bool)
+    for j, extra in enumerate(fits.extra):
+        for k, i in enumerate([*task.shared, *extra]):
+            low, high = coordinates.bounds(coordinates.names[i])
+            out[j, task.conditions + k] = not low < fits.c[j, i] < high
+    return out
