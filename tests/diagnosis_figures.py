@@ -262,10 +262,11 @@ def markdown(everything: Mapping[str, Sequence[dict]], code: str) -> str:
     parts = [f"Measured with source `{code}`."]
     for group, lines in everything.items():
         if lines:
-            parts += [f"#### {group.capitalize()}", table(rows_of(group, lines))]
+            title = group if "=" in group else group.capitalize()
+            parts += [f"### {title}", table(rows_of(group, lines))]
     one = [x for group in ONE for x in answered(everything.get(group, ()))]
     if one:
-        parts += ["#### Stated probabilities, one effect hidden", "\n".join(probabilities(one))]
+        parts += ["### Stated probabilities, one effect hidden", "\n".join(probabilities(one))]
     if found := missed(everything):
         parts += ["Not in the first set:", "\n".join(f"- {x}" for x in found)]
     return "\n\n".join(parts)
