@@ -175,8 +175,8 @@ def _with_filters(path: Path, steps) -> Path:
     def turn(carry):
         first, state, table = carry
         index, state, passed = some(first, state)
-        put = lambda whole, new: whole.at[index].set(new, mode="drop")  # noqa: E731
-        return first + _FEW, state, jax.tree.map(put, table, passed)
+        table = jax.tree.map(lambda old, new: old.at[index].set(new, mode="drop"), table, passed)
+        return first + _FEW, state, table
 
     _, _, table = jax.lax.while_loop(lambda carry: carry[0] < steps, turn, (0, (zero, zero), table))
     return path._replace(filtered_strides=table)
