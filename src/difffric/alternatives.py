@@ -23,8 +23,8 @@ _ROUNDS = 15
 def alternatives(
     task: Task, plain: Fits, base: Fits, cause: Candidate, others: Sequence[str]
 ) -> list[Candidate]:
-    """The `others` of one number in the place of a cause of `base` (an ensemble of one, as the plain
-    fit is), where their derivatives are parallel to the cause's."""
+    """The `others` of one number in the place of a cause of `base` (an ensemble of one, as the
+    plain fit is), where their derivatives are parallel to the cause's."""
     mine = task.model.coordinates.indices(numbers_of(cause.effect))
     if not set(mine) <= set(base.extra[0]):  # a ratio, free in the plain model too
         return []

@@ -40,8 +40,6 @@ class Score:
 
     drop: float
     """predicted drop of chi-square, the plain parameters and the scatter projected out"""
-    step: tuple[float, ...]
-    """predicted coordinates of the effect's numbers"""
     visible: float
     """the square root of the drop that the effect would make at its typical size"""
 
@@ -95,14 +93,14 @@ def score_tests(task: Task, base: Fits, effects: Sequence[str]) -> dict[str, Sco
             r = g[mine] - X.T @ solve @ (g[keep] / scale)
             information = max(float(S[0, 0]), 0.0)
             if information < 1e-6 * max(H[mine[0], mine[0]], 1e-12):
-                out[e] = Score(0.0, (0.0,) * len(own), 0.0)
+                out[e] = Score(0.0, 0.0)
                 continue
             step = -np.linalg.solve(S, r)
             drop = float(r @ -step)
             if len(own) == 1:  # bounded at its null: what leads out of bounds explains nothing
                 low, high = coordinates.bounds(coordinates.names[own[0]])
                 drop *= low <= base.c[0, own[0]] + step[0] <= high
-            out[e] = Score(drop, tuple(step.tolist()), float(np.sqrt(information)))
+            out[e] = Score(drop, float(np.sqrt(information)))
     return out
 
 
