@@ -77,13 +77,15 @@ def _values(effect: str, s: Scales):
         case "friction_drift":
             return [a * x for a in signs for x in (0.03, 0.2)]
         case "friction_ratio":
-            return [0.55, 0.67, 0.84, 0.95]
+            return [0.55, 0.67, 0.70, 0.72, 0.735, 0.765, 0.78, 0.80, 0.84, 0.95]
         case "stribeck":
-            return np.geomspace(0.1 * s.slowest, 8 * s.fastest, 9)
+            return np.geomspace(0.04 * s.slowest, 8 * s.fastest, 12)
         case "quadratic_drag":
             return [x * s.mu_s * weight / s.fastest**2 for x in (0.03, 0.3)]
         case "static_dwell":
-            return [0.005, 0.03, 0.1]
+            return np.geomspace(0.005, 0.2, 12)
+        case "presliding":
+            return [(x, 0.4 * np.sqrt(x * s.mass)) for x in (1e6, 3e6, 1e7, 3e7)]
         case "rebound_damping":
             return [0.15, 0.5, 0.95]
         case "contact_hardening":

@@ -12,7 +12,7 @@ from scipy import stats
 from difffric import ensemble as en
 from difffric import refits
 from difffric.candidates import LOCAL, Scales, grid, numbers_of
-from difffric.effects import KEYS
+from difffric.effects import KEYS, RATIO
 from difffric.ensemble import Fits, Task, subset_of
 from difffric.shape_scan import SHAPED, shape_starts, within_the_way
 
@@ -29,7 +29,7 @@ _SURE, _FAIR = 3, 0.3
 _REOWNED = 14
 """Fits of a scan whose pushes' own mu_s are looked for afresh."""
 _BESIDE = {name: 1e-6 for name, (_, key) in KEYS.items() if key.inverse}
-_BESIDE |= {"pusher_lag.tau_s": 1e-4}
+_BESIDE |= {"pusher_lag.tau_s": 5e-4}
 """Coordinates beside a null at which there is no derivative (of the inverse of an acceleration), or
 none that steps of finite length find (of a lag shorter than a step)."""
 
@@ -121,8 +121,12 @@ def starts_of(
     if effect in SHAPED:
         return shape_starts(task, base, effect, scales, some, far)
     coordinates = task.model.coordinates
-    rows = [coordinates.point(values) for values in grid(effect, scales)]
-    return _at(task, base, effect, np.array(rows))
+    rows = np.array([coordinates.point(values) for values in grid(effect, scales)])
+    fits = _at(task, base, effect, rows)
+    if effect == RATIO:  # what slides stays as it is, and mu_s with what sticks moves
+        mine = coordinates.indices(numbers_of(effect))
+        fits = replace(fits, mu=fits.mu - (rows - base.c[:, mine]))
+    return fits
 
 
 def score_starts(
@@ -169,9 +173,8 @@ def explore(
     before = float(en.criterion(task, base)[0])
     fits, behind = _within_reach(task, fits, behind, before)
     fits = refits.refitted(task, refits.reowned(task, fits) if far else fits, _ROUNDS)
-    if far:
-        again = refits.reowned(task, fits)
-        fits = refits.refitted(task, again, _ROUNDS) if again is not fits else fits
+    again = refits.reowned(task, fits) if far else refits.resettled(task, fits)
+    fits = refits.refitted(task, again, _ROUNDS) if again is not fits else fits
     tell(0.95)
     value = en.criterion(task, fits)
     out = []
@@ -194,9 +197,9 @@ def _near(task: Task, base: Fits, effects: list[str], scales, scores, tell):
     """(the leading effects' fits, their names) where what is linear at the null is right: the
     score tests choose, and all pushes are looked at, as each may hold what little there is. What a
     score test does not see (a dwell, where nothing sticks at the null) is looked for on a grid."""
-    by_score = sorted(scores, key=lambda e: -scores[e].drop)
+    by_score = sorted((e for e in effects if e in scores), key=lambda e: -scores[e].drop)
     fits, behind = score_starts(task, base, by_score[:_TESTED], scores)
-    parts = [fits]
+    parts = [fits] if fits.m else []
     for e in effects:
         if e not in scores or scores[e].visible < _BLIND:
             new = starts_of(task, base, e, scales, np.arange(task.n), far=False)
@@ -210,6 +213,11 @@ def _near(task: Task, base: Fits, effects: list[str], scales, scores, tell):
         mine = np.array([j for j, x in enumerate(behind) if x == e])
         keep += mine[np.argsort(promised[mine])[:2]].tolist()
     fits, behind = refits.refitted(task, fits.pick(keep), 3), [behind[j] for j in keep]
+    # What shows only where a push sticks is a matter of branches.
+    jumps = [j for j, e in enumerate(behind) if e not in scores or scores[e].visible < _BLIND]
+    if jumps:
+        branch = refits.resettled(task, fits.pick(jumps))
+        fits = refits.replaced(fits, np.array(jumps), refits.refitted(task, branch, 3))
     tell(0.6)
     cost = en.criterion(task, fits)
     charged = cost + task.price * np.array([len(numbers_of(e)) for e in behind])
@@ -252,7 +260,7 @@ def _far(task: Task, base: Fits, effects: list[str], scales, scores, tell):
     behind = np.tile(owner, 2)
     # And from where the score tests lead.
     near, known = score_starts(task, base, [effects[int(k)] for k in owner], scores)
-    starts = en.evaluated(task, en.together(starts, near))
+    starts = en.evaluated(task, en.together(starts, near) if near.m else starts)
     behind = np.append(behind, [effects.index(e) for e in known]).astype(int)
     first = _first_of_each(_promised(task, starts)[1], behind)
     fits, owner = refits.refitted(task, starts.pick(first), 2), behind[first]

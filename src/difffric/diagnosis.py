@@ -25,7 +25,7 @@ from difffric.diagnosis_start import folds_of, start_of
 from difffric.effects import CATALOGUE, KEYS, RATIO
 from difffric.ensemble import Fits
 from difffric.errors import InputError, NumericalError, require_float64
-from difffric.extended_model import SLIDES
+from difffric.extended_model import PRESLIDING, SLIDES
 from difffric.extended_setup import extended_rig, extended_setup, stripped
 from difffric.lack_of_fit import far, lack_of_fit
 from difffric.location import Location, locate, with_forms
@@ -57,6 +57,8 @@ _FEWEST = 3
 """Pushes from which on one can be held out."""
 _VISIBLE = 3.0
 """Standard deviations at its typical size from which an effect can be seen."""
+_HINT = 0.05
+"""Probability of what the best effect explains by chance, below which bristles are looked for."""
 _HIDING = 6
 """Steps in which the plain model takes up what an invisible effect does."""
 _TEXT = {RATIO: "mu_k / mu_s is not what the set-up says"}
@@ -148,11 +150,7 @@ class _Diagnosis:
                 self.compiling = Thread(target=wide.compile, daemon=True)
                 self.compiling.start()
             for _ in range(_RELIEVED):
-                found = search.explore(
-                    task, base, wanted, data.scales, scores,
-                    lambda s, k=k: self.tell("looking for a cause", 0.3 + 0.15 * (k + s)),
-                    far=far(task, base),
-                )  # fmt: skip
+                found = self._explored(base, wanted, scores, k)
                 suspect = far(task, base) or any(c.p_value < SIGNIFICANT for c in found)
                 better = relieved(task, base, found) if suspect else None
                 if better is None:
@@ -185,6 +183,22 @@ class _Diagnosis:
             if question:
                 named, base = [(question[0], question)], question[0].fits
         return self._result(plain, base, before, named, small, first_scores, total)
+
+    def _explored(self, base: Fits, wanted, scores, k: int) -> list[Candidate]:
+        """The leading effects on top of `base`, the best first. Bristles have no null, and take a
+        program of their own: they are looked for where there is something to explain."""
+        data, strong = self.data, far(self.data.task, base)
+
+        def explore(effects, part):
+            def tell(share):
+                self.tell("looking for a cause", 0.3 + 0.15 * (k + part * share))
+
+            return search.explore(data.task, base, effects, data.scales, scores, tell, strong)
+
+        found = explore([e for e in wanted if e != PRESLIDING], 0.8)
+        if PRESLIDING in wanted and (strong or any(c.p_value < _HINT for c in found)):
+            found += explore([PRESLIDING], 1.0)
+        return sorted(found, key=lambda c: -c.penalised_drop)
 
     def _there(self, named) -> set[str]:
         """Effects that are in the model already."""

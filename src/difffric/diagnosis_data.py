@@ -9,10 +9,10 @@ import numpy as np
 from difffric import parameters
 from difffric.blocks import stacked_blocks
 from difffric.candidates import Scales, numbers_of
-from difffric.effects import CATALOGUE, FORCE, PROBE, RATIO
+from difffric.effects import CATALOGUE, FORCE, PROBE, RATIO, extended
 from difffric.ensemble import Fits, Task
 from difffric.extended_coordinates import PLAIN, Coordinates
-from difffric.extended_model import RECORDINGS, SLIDES, TABLE, ExtendedModel, Pushes, without
+from difffric.extended_model import PRESLIDING, RECORDINGS, SLIDES, TABLE, ExtendedModel, Pushes
 from difffric.fit_data import strokes_of
 from difffric.fitted import Fit
 from difffric.pushes import Pushes as Measured
@@ -24,8 +24,6 @@ NOT_IN_RECORDINGS = ("sample_clipping", "release_threshold")
 """Effects that only reduced numbers have."""
 IN_SLIDES = ("quadratic_drag", "stribeck", "friction_drift", "normal_force")
 """Effects that a free slide shows, whose place on the rails is not known."""
-OWN_PROGRAM: tuple[str, ...] = ("presliding",)
-"""Effects without a null: no program has them beside the others."""
 
 
 @dataclass(frozen=True)
@@ -59,20 +57,22 @@ def diagnosis_data(
     impossible = _impossible(measured, reduction, mass, span, slides)
     if reduction is None:
         data, counts, open_ = _table(measured, noise)
-        left_out, kind = OWN_PROGRAM, SLIDES if slides else TABLE
+        left_out, kind = (PRESLIDING,), SLIDES if slides else TABLE
     else:
         values = parameters.values(rig)
         frequency = np.sqrt(float(values["k_N_per_m"]) / mass.min())
         data = stacked_blocks(reduction.recordings, reduction.details, strokes, frequency)
         counts = np.stack([(blocks.a > 0).sum(axis=1) for blocks in data], axis=1).astype(float)
         open_ = (False, False)
-        left_out, kind = (*OWN_PROGRAM, *NOT_IN_RECORDINGS), RECORDINGS
+        left_out, kind = NOT_IN_RECORDINGS, RECORDINGS
     pushes = Pushes(
         measured.velocity, mass, strokes, (order - order.min()) / (span or 1.0),
         np.nan_to_num(rest), data,
     )  # fmt: skip
-    whole = without(parameters.with_stroke(rig, 1.0), left_out)
-    coordinates = Coordinates.of(whole)
+    every = {e: {} for e in CATALOGUE if e not in left_out}
+    plain = parameters.with_stroke(rig, 1.0)
+    coordinates = Coordinates.of(extended(plain, every))
+    whole = extended(plain, {e: keys for e, keys in every.items() if e != PRESLIDING})
     names = list(dict.fromkeys(measured.condition))
     task = Task(
         model=ExtendedModel(coordinates, whole, pushes, kind),
@@ -99,9 +99,9 @@ def _table(measured: Measured, noise):
 
 def _impossible(measured: Measured, reduction, mass, span, slides) -> dict[str, str]:
     """Effects that these data have no way to show."""
-    out: dict[str, str] = dict.fromkeys(
-        OWN_PROGRAM, "not looked for: no value makes bristles vanish"
-    )
+    out: dict[str, str] = {}
+    if reduction is None:
+        out[PRESLIDING] = "bristles are looked for in recordings only"
     if slides:
         some = (*CATALOGUE, RATIO)
         out = dict.fromkeys(some, "free slides have no push, and no known place on the rails")

@@ -124,7 +124,7 @@ _LIST = (
            ("friction_ratio",), "slow pushes after rests of very different lengths",
            given=("rest",)),
     Effect("presliding", FRICTION, friction.Presliding,
-           (_free("sigma_0_N_per_m", "sigma_0", 1e7, null=_INF),
+           (_free("sigma_0_N_per_m", "compliance", 1e7, null=_INF, inverse=True),
             _free("sigma_1_N_s_per_m", "sigma_1", 100.0)),
            "bristles bend before they slip (LuGre)",
            "a part that moves before it slips and swings back at the end",

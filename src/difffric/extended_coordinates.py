@@ -159,6 +159,12 @@ class Coordinates:
         rows = c[len(known) :].reshape(shape)
         return free_form.with_coefficients(at, dict(zip(free_form.FORMS, rows, strict=True)))
 
+    def without(self, effect: str) -> Coordinates:
+        """Without those of an effect's numbers."""
+        keep = [k for k, name in enumerate(self.names) if name.partition(".")[0] != effect]
+        columns = (self.names, self.null, self.unit)
+        return Coordinates(*(tuple(column[k] for k in keep) for column in columns))
+
     def with_forms(self) -> Coordinates:
         """With the coefficients of all free forms behind them."""
         none = (0.0,) * len(FORMED)

@@ -10,7 +10,6 @@ the same compiled code.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
@@ -31,10 +30,12 @@ from difffric.rig import Rig
 from difffric.runge_kutta import RungeKutta
 
 TABLE, SLIDES, RECORDINGS = "table", "slides", "recordings"
+PRESLIDING = "presliding"
+BRISTLES = f"{PRESLIDING}.sigma_0_N_per_m"
 BATCH = 4
 """Pairs that one call answers for: as many as are computed abreast. All wait for the longest."""
-STEPS = 320
-"""Steps that a push may take."""
+STEPS, BENT_STEPS = 320, 6000
+"""Steps that a push may take; with bristles, which swing until they rest."""
 TOLERANCE = 1e-7
 """Of a step: far below what measured pushes let see."""
 
@@ -86,7 +87,7 @@ def _white(blocks: Blocks, r):
     return (blocks.a * r.T - blocks.b * before.T).T
 
 
-def _recordings(coordinates, rig, pushes: Pushes, c, directions) -> Answer:
+def _recordings(coordinates, rig, pushes: Pushes, c, directions, steps: int) -> Answer:
     """The answers for B recorded pushes at coordinates (B, K), along directions (B, D, K)."""
     force, position = pushes.data
     integrator = RungeKutta(TOLERANCE)
@@ -94,7 +95,7 @@ def _recordings(coordinates, rig, pushes: Pushes, c, directions) -> Answer:
     def readings(c):
         rigs = jax.vmap(lambda push, c: own_rig(coordinates, rig, push, c))(pushes, c)
         v = jax.vmap(lambda rig, v: rig.pusher.speed(v))(rigs, pushes.velocity)
-        paths = follow_together(partial(integrator.marcher, blind=True), rigs, v, STEPS)
+        paths = follow_together(partial(integrator.marcher, blind=True), rigs, v, steps)
         f, x = jax.vmap(lambda path, *t: path.read(*t))(paths, force.t, position.t)
         # What could not be followed to its end is no number, and no fit goes there.
         known = jnp.where(paths.end.lost_track | ~paths.end.over, jnp.nan, 1.0)[:, None]
@@ -121,9 +122,9 @@ def _recordings(coordinates, rig, pushes: Pushes, c, directions) -> Answer:
     return Answer(jnp.stack([G_f, G_x], 1), model, jnp.stack([r_f, r_x], 1))
 
 
-def _table(coordinates, rig, pushes: Pushes, c, directions) -> Answer:
+def _table(coordinates, rig, pushes: Pushes, c, directions, steps: int) -> Answer:
     """The same for a table's F_p and d."""
-    integrator: Any = RungeKutta(TOLERANCE, most=STEPS)
+    integrator: Any = RungeKutta(TOLERANCE, most=steps)
 
     def numbers(c):
         def one(push, c):
@@ -149,7 +150,7 @@ def _compared(pushes: Pushes, model, by) -> Answer:
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(48)
 
 
-def _slides(coordinates, rig, pushes: Pushes, c, directions) -> Answer:
+def _slides(coordinates, rig, pushes: Pushes, c, directions, steps: int) -> Answer:
     """The same for the distances of free slides, `velocity` being that at release."""
 
     def slid(push, c):
@@ -174,12 +175,12 @@ def _along(function, c, directions):
 
 
 @lru_cache(maxsize=16)
-def _compiled(coordinates: Coordinates, kind: str, structure, shapes):
+def _compiled(coordinates: Coordinates, kind: str, steps: int, structure, shapes):
     """The program for all data of this kind and these shapes."""
     answer = {RECORDINGS: _recordings, TABLE: _table, SLIDES: _slides}[kind]
 
     def program(rig, pushes, c, directions):
-        return answer(coordinates, rig, pushes, c, directions)
+        return answer(coordinates, rig, pushes, c, directions, steps)
 
     leaves = [jnp.zeros(shape, kind) for shape, kind in shapes]
     return soon_compiled(program).lower(*jax.tree.unflatten(structure, leaves)).compile()
@@ -191,10 +192,12 @@ class ExtendedModel:
 
     coordinates: Coordinates
     rig: Rig
+    """with all effects that the coordinates know, but for bristles"""
     pushes: Pushes
     kind: str
     """`table`, `slides` or `recordings`"""
     directions: int = 8
+    steps: int = STEPS
 
     @property
     def recordings(self) -> bool:
@@ -204,6 +207,17 @@ class ExtendedModel:
     @cached_property
     def _rig(self):
         return parameters.as_arrays(self.rig)
+
+    @cached_property
+    def _bent(self) -> ExtendedModel:
+        """With bristles, which no value makes vanish: a program of its own."""
+        rig = effects.extended(self.rig, {PRESLIDING: {}})
+        return replace(self, rig=rig, steps=BENT_STEPS)
+
+    @cached_property
+    def _unbent(self) -> ExtendedModel:
+        """Without them."""
+        return replace(self, coordinates=self.coordinates.without(PRESLIDING))
 
     def _rows(self, index: NDArray) -> Pushes:
         """Some pushes; the program does not know how many there are."""
@@ -223,7 +237,7 @@ class ExtendedModel:
         example = self._example()
         shapes = tuple((x.shape, str(x.dtype)) for x in jax.tree.leaves(example))
         structure = jax.tree.structure(example)
-        return _compiled(self.coordinates, self.kind, structure, shapes)
+        return _compiled(self.coordinates, self.kind, self.steps, structure, shapes)
 
     @cached_property
     def _wider(self) -> ExtendedModel:
@@ -231,16 +245,28 @@ class ExtendedModel:
         return replace(self, directions=2 * self.directions)
 
     def compile(self) -> None:
-        """Make the program ready; may be left to another thread."""
-        _ = self._compiled
+        """Make the program ready; may be left to another thread. That with bristles is not: few
+        searches come to it."""
+        _ = self._unbent._compiled
 
     def answers(self, index: NDArray, c: NDArray, directions: NDArray) -> Answer:
         """For N pairs: pushes `index` (N,), coordinates (N, K), directions (N, D, K) or (D, K).
         NumPy arrays come back, Gram matrices of D + 1 columns."""
+        names = self.coordinates.names
+        directions = np.broadcast_to(directions, (len(c), *np.shape(directions)[-2:]))
+        bent = c[:, names.index(BRISTLES)] > 0 if BRISTLES in names else np.zeros(len(c), bool)
+        known = [k for k, name in enumerate(names) if not name.startswith(PRESLIDING)]
+        parts = []
+        for model, at, own in ((self._unbent, ~bent, known), (self._bent, bent, slice(None))):
+            if at.any():
+                parts.append(model._answers(index[at], c[at][:, own], directions[at][..., own]))
+        back = np.argsort(np.argsort(bent, kind="stable"), kind="stable")
+        return jax.tree.map(lambda *a: np.concatenate(a)[back], *parts)
+
+    def _answers(self, index: NDArray, c: NDArray, directions: NDArray) -> Answer:
         N, K = c.shape
-        directions = np.broadcast_to(directions, (N, *np.shape(directions)[-2:]))
         if directions.shape[1] > self.directions:
-            return self._wider.answers(index, c, directions)
+            return self._wider._answers(index, c, directions)
         # A batch goes on for as long as its longest push: alike ones together.
         order = np.lexsort((index, np.asarray(self.pushes.velocity)[index]))
         index, c, directions = index[order], c[order], directions[order]
@@ -265,9 +291,3 @@ class ExtendedModel:
         whole = jax.tree.map(lambda *a: np.concatenate(a)[back], *found)
         keep = [*range(D), self.directions]
         return whole._replace(gram=whole.gram[:, :, keep][:, :, :, keep])
-
-
-def without(rig: Rig, ids: Sequence[str]) -> Rig:
-    """The universal rig of a plain one, but for some effects."""
-    every = {e: {} for e in effects.CATALOGUE if e not in ids}
-    return effects.extended(rig, every)

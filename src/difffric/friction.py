@@ -267,21 +267,22 @@ class Presliding(FrictionEffect):
     is the limit sigma_0 -> infinity, with mu_s = mu_k. mu_s acts through mu_k alone.
     """
 
-    sigma_0: Number = 1e7
+    compliance: Number = 1e-7
     sigma_1: Number = 0.0
     affine: ClassVar[bool] = False  # type: ignore[assignment]
 
     def bend(self, u, way, q, F_N):
         """(friction force [N], q' [m/s]) at the deflection q [m], where u has the sign `way`."""
         slip = self.law.sliding(jnp.zeros_like(u), F_N)
-        dq = u * (1 - way * self.sigma_0 * q / slip)
+        held = self.stiffness * q
+        dq = u * (1 - way * held / slip)
         rest = way * (self.law.sliding(way * u, F_N) - slip)
-        return self.sigma_0 * q + self.sigma_1 * dq + rest, dq
+        return held + self.sigma_1 * dq + rest, dq
 
     @property
     def stiffness(self):
         """sigma_0 [N/m]."""
-        return self.sigma_0
+        return 1.0 / self.compliance
 
 
 def innermost(law: Any) -> Any:

@@ -20,7 +20,15 @@ _ASTRAY = 3.0
 """Times what a push's squares are where it is fitted, or would be: a prediction beyond is no mere
 lack of data."""
 _ANEW = 10
+_JUMP = 3.0
+"""Standard deviations of chi-square beyond the fit's, from which a prediction may be on another
+branch of its own mu_s."""
 _OWN = np.linspace(-0.35, 0.35, 21)
+_LOOSE, _NEAR = 5e-4, np.linspace(-3.0, 3.0, 13)
+"""Standard error of a push's own mu_s from which it is looked for on a grid, and the grid in units
+of it."""
+_WORTH = 1.0
+"""By how much a sum of squares must fall to be worth another branch."""
 
 
 def bounded(H, g, now, lower, upper, damping=0.0) -> NDArray:
@@ -68,7 +76,7 @@ def _settled(task: Task, fits: Fits, pushes: NDArray | None) -> Fits:
         again = en.evaluated(task, replace(again, own=best[off]), pushes)
         better = en.penalised(task, again) < en.penalised(task, fits.pick(off))
         if better.any():
-            fits = _replaced(fits, off[better], again.pick(np.flatnonzero(better)))
+            fits = replaced(fits, off[better], again.pick(np.flatnonzero(better)))
     return fits
 
 
@@ -132,7 +140,7 @@ def refitted(
         done = (better & (gain < tol)) | (damping[which] > 1e6)
         if better.any():
             good = en.rescattered(task, trial.pick(np.flatnonzero(better)))
-            fits = _replaced(fits, which[better], good)
+            fits = replaced(fits, which[better], good)
         active[which[done]] = False
     return replace(fits, damping=damping)
 
@@ -144,28 +152,67 @@ def reowned(task: Task, fits: Fits, pushes: NDArray | None = None) -> Fits:
         return fits
     which = np.arange(task.n) if pushes is None else np.asarray(pushes)
     cost = np.einsum("mnk,mk->mn", fits.gram[..., -1, -1], 1.0 / fits.spread**2)
-    bad = cost[:, which] > _BAD * np.maximum(task.counts[which].sum(axis=1), 1.0)
-    if not bad.any():
+    bad = np.zeros(cost.shape, bool)
+    bad[:, which] = cost[:, which] > _BAD * np.maximum(task.counts[which].sum(axis=1), 1.0)
+    return _from_grid(task, fits, bad, np.broadcast_to(_OWN, (*bad.shape, len(_OWN))), 0.0)
+
+
+def resettled(task: Task, fits: Fits) -> Fits:
+    """The same in pushes that hardly tell their own mu_s, within what they leave open: where a push
+    sticks, its answer jumps with mu_s, and no derivative says so."""
+    if not task.mu_free:
         return fits
-    j, i = np.nonzero(bad)
-    i = which[i]
-    tried = np.repeat(_OWN, len(j))
-    fit, push = np.tile(j, len(_OWN)), np.tile(i, len(_OWN))
-    c = fits.c[fit]
-    c[:, 0] = fits.mu[fit, task.condition[push]] + tried
-    found = task.model.answers(push, c, np.zeros((1, c.shape[1])))
-    value = np.einsum("nk,nk->n", found.gram[:, :, -1, -1], 1.0 / fits.spread[fit] ** 2)
-    value = np.where(np.isfinite(value), value, np.inf).reshape(len(_OWN), len(j))
-    best = np.argmin(value, axis=0)
-    better = value[best, np.arange(len(j))] < cost[j, i]
+    error = _own_errors(fits)
+    return _from_grid(task, fits, error > _LOOSE, _about(fits, error), 1.0)
+
+
+def _own_errors(fits: Fits) -> NDArray:
+    """(m, n) standard errors of each push's own log mu_s."""
+    z = np.einsum("mnk,mk->mn", fits.gram[:, :, :, 0, 0], 1.0 / fits.spread**2)
+    return (z + 1.0 / fits.scatter[:, None] ** 2) ** -0.5
+
+
+def _about(fits: Fits, error: NDArray) -> NDArray:
+    """(m, n, values) within what the pushes leave open."""
+    return fits.own[:, :, None] + error[:, :, None] * _NEAR
+
+
+def _from_grid(task: Task, fits: Fits, asked: NDArray, grid: NDArray, charged: float) -> Fits:
+    """The fits with the own mu_s of the pushes `asked` (m, n) from `grid` (m, n, values) where that
+    fits better, and the very same where none does. `charged`: whether the scatter speaks too."""
+    j, i = np.nonzero(asked)
+    if not len(j):
+        return fits
+    penalty = charged / fits.scatter[j] ** 2
+    before = np.einsum("pk,pk->p", fits.gram[j, i][..., -1, -1], 1.0 / fits.spread[j] ** 2)
+    before = before + penalty * fits.own[j, i] ** 2
+    tried = grid[j, i]
+    squares = _squares_at(task, fits, j, i, fits.c[j], fits.mu[j, task.condition[i]], tried)
+    value = squares + penalty[:, None] * tried**2
+    best = np.argmin(value, axis=1)
+    better = np.take_along_axis(value, best[:, None], 1)[:, 0] < before - _WORTH
     if not better.any():
         return fits
     own = fits.own.copy()
-    own[j[better], i[better]] = _OWN[best[better]]
+    own[j[better], i[better]] = tried[better, best[better]]
     return replace(fits, own=own, gram=None, residual=None, damping=None)
 
 
-def _replaced(fits: Fits, which, new: Fits) -> Fits:
+def _squares_at(task: Task, fits: Fits, j, i, c: NDArray, mu: NDArray, own: NDArray) -> NDArray:
+    """(N, values) sums of squares of pushes i of fits j at coordinates c (N, K), log mu_s mu (N,)
+    and each of own (N, values); infinite where a push could not be followed."""
+    N, values = own.shape
+    rows = np.repeat(c, values, axis=0)
+    rows[:, 0] = (mu[:, None] + own).ravel()
+    found = task.model.answers(np.repeat(i, values), rows, np.zeros((1, rows.shape[1])))
+    spread = np.repeat(fits.spread[j], values, axis=0)
+    squares = np.einsum("nk,nk->n", found.gram[:, :, -1, -1], 1.0 / spread**2)
+    return np.where(np.isfinite(squares), squares, np.inf).reshape(N, values)
+
+
+def replaced(fits: Fits, which, new: Fits) -> Fits:
+    """The fits with some of them replaced."""
+
     def put(old, values):
         if old is None or values is None:
             return old
@@ -212,13 +259,33 @@ def held_out(task: Task, fits: Fits, folds: NDArray) -> HeldOut:
         c[:, out], mu[:, out] = at.c[:, None], at.mu[:, task.condition[out]]
     found = _predicted(task, fits, c, mu)
     seen = np.einsum("mnk,mk->mn", fits.gram[..., -1, -1], 1.0 / fits.spread**2)
-    astray = found.squares > _ASTRAY * (seen + task.counts.sum(axis=1))
+    numbers = task.counts.sum(axis=1)
+    jumps = found.squares > seen + _JUMP * np.sqrt(2 * numbers)
+    branches = _on_branches(task, fits, jumps, c, mu)
+    if branches is not fits:
+        fits, found = branches, _predicted(task, branches, c, mu)
+    astray = found.squares > _ASTRAY * (seen + numbers)
     for j, fold in {(j, folds[i]) for j, i in np.argwhere(astray)}:
         out = folds == fold
         at = replace(fits.pick([j]), gram=None, residual=None, damping=None)
         at = refitted(task, at, _ANEW, np.flatnonzero(~out))
         c[j, out], mu[j, out] = at.c, at.mu[0, task.condition[out]]
     return _predicted(task, fits, c, mu) if astray.any() else found
+
+
+def _on_branches(task: Task, fits: Fits, asked: NDArray, c: NDArray, mu: NDArray) -> Fits:
+    """The fits with the own mu_s, of those pushes `asked` (m, n) that hardly tell it, that are best
+    at coordinates c (m, n, K) and log mu_s mu (m, n)."""
+    error = _own_errors(fits)
+    j, i = np.nonzero(asked & (error > _LOOSE))
+    if not task.mu_free or not len(j):
+        return fits
+    tried = _about(fits, error)[j, i]
+    value = _squares_at(task, fits, j, i, c[j, i], mu[j, i], tried)
+    value = value + (tried / fits.scatter[j, None]) ** 2
+    own = fits.own.copy()
+    own[j, i] = np.take_along_axis(tried, np.argmin(value, axis=1)[:, None], 1)[:, 0]
+    return replace(fits, own=own)
 
 
 def _predicted(task: Task, fits: Fits, c: NDArray, mu: NDArray) -> HeldOut:

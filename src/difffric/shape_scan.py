@@ -32,7 +32,7 @@ MOST = 50
 _AMPLITUDE = 1e-3
 """Coordinate of the sine where derivatives are taken: at the null the cosine has none."""
 _LARGEST = 0.7
-_PEAKS, _STARTS = 3, 4
+_PEAKS, _BINS, _STARTS = 3, 6, 4
 _FIRST = slice(1, 4)
 """Of the pushes by how far they reach, those that begin: not the slowest, which take longest."""
 _WAYS = 2.0
@@ -70,7 +70,9 @@ def shape_starts(
     drop, _ = _scores(task, base, index, 1.0 / turns, near, far)
     fine = 1.0 / (6.0 * long)
     spread = np.arange(-0.5 * step, 0.5 * step + 1e-9, fine)
-    between = (turns[_peaks(drop)[:_PEAKS], None] + spread).ravel()
+    # A small wave's peak may lie on the side of another's.
+    first = _peaks(drop)[:_PEAKS] if far else np.argsort(-drop)[:_BINS]
+    between = (turns[first, None] + spread).ravel()
     drop, starts = _scores(task, base, index, 1.0 / between[between > 0], some, far)
     return starts.pick(_peaks(drop)[:_STARTS])
 

@@ -24,7 +24,8 @@ def best_base(task: Task, start: Fits, guess: Fits) -> Fits:
     there with equal mu_s, and from the set-up's own numbers (all ensembles of one)."""
     fits = refits.refitted(task, start, _ROUNDS)
     if not far(task, fits):
-        return fits
+        again = refits.resettled(task, fits)
+        return fits if again is fits else refits.refitted(task, again, _ROUNDS)
     level = replace(start, own=np.zeros_like(start.own))
     every = [fits, *(refits.refitted(task, x, _ROUNDS) for x in (level, guess))]
     best = min(every, key=lambda x: float(en.criterion(task, x)[0]))
