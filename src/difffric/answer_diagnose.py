@@ -6,6 +6,7 @@ import tempfile
 from pathlib import Path
 
 from difffric import figures_diagnose
+from difffric.misfit import told
 from difffric.report import Picture, Report, Section, Table, number
 from difffric.setup_file import write_setup
 from difffric.units import to_mm, to_mm_min, to_um
@@ -42,7 +43,7 @@ def _row(cause: Cause) -> list[str]:
         number(cause.probability, 3),
         ", ".join(cause.confusable_with) or "–",
         number(cause.chi2_drop),
-        f"{100 * cause.change_mu_s:.2g} %",
+        f"{100 * cause.change_peak_force:.2g} %, {100 * cause.change_sliding_distance:.2g} %",
     ]
 
 
@@ -53,7 +54,7 @@ _COLUMNS = (
     "probability",
     "confusable with",
     "drop of χ²",
-    "moves mu_s",
+    "changes F_p, d by",
 )
 
 
@@ -107,9 +108,14 @@ def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
             f"The misfit sits in: {where.component.replace('_', ' ')}. A curve over the "
             f"{where.quantity} explains {100 * where.explained[where.form]:.0f} % of it."
         )
+    if found.causes:
+        moved = number(100 * found.causes[0].change_mu_s, 2)
+        summary.append(f"The identified mu_s changes by {moved} % (rms over the pushes).")
     sections = []
     if found.causes:
-        table = Table("Causes, in the order added", _COLUMNS, [_row(c) for c in found.causes])
+        table = Table(
+            "Causes, by how much they change F_p and d", _COLUMNS, [_row(c) for c in found.causes]
+        )
         sections.append(Section("Causes", tables=(table,)))
     if found.negligible:
         table = Table(
@@ -134,6 +140,12 @@ def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
                 figures_diagnose.misfit(found),
             )
         ]  # fmt: skip
+        drawn.append(
+            Picture(
+                "where", "Squared residuals per number, by phase of the push and over what changes "
+                "(red: plain, blue: with its causes).", figures_diagnose.where(found),
+            )
+        )  # fmt: skip
         if found.work[0].task.model.recordings:
             drawn.append(
                 Picture(
@@ -149,7 +161,10 @@ def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
                     figures_diagnose.location(found.location),
                 )
             )  # fmt: skip
-        sections.append(Section("Where the misfit sits", pictures=tuple(drawn)))
+        words = told(found.misfit)
+        sections.append(
+            Section("Where the misfit sits", (words,) if words else (), pictures=tuple(drawn))
+        )
     unseen = [x for x in found.not_visible if x not in found.impossible]
     reasons = [[name, why] for name, why in found.impossible.items()]
     reasons += [[name, "too small a trace in these pushes at its typical size"] for name in unseen]

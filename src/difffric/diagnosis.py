@@ -29,6 +29,7 @@ from difffric.extended_model import PRESLIDING, SLIDES
 from difffric.extended_setup import extended_rig, extended_setup, stripped
 from difffric.lack_of_fit import far, lack_of_fit
 from difffric.location import Location, locate, with_forms
+from difffric.misfit import misfits
 from difffric.next_experiment import Experiment, next_experiment
 from difffric.pushes import Pushes
 from difffric.recordings import Recordings
@@ -57,6 +58,8 @@ _FEWEST = 3
 """Pushes from which on one can be held out."""
 _VISIBLE = 3.0
 """Standard deviations at its typical size from which an effect can be seen."""
+_SAME = 0.01
+"""Relative difference of the pushes' mu_s up to which two plain fits are the same."""
 _HINT = 0.05
 """Probability of what the best effect explains by chance, below which bristles are looked for."""
 _HIDING = 6
@@ -200,6 +203,14 @@ class _Diagnosis:
             found += explore([PRESLIDING], 1.0)
         return sorted(found, key=lambda c: -c.penalised_drop)
 
+    def _of_the_plain_fit(self, plain: Fits) -> list[str]:
+        """What its single start says of itself, where that is what the search went on with."""
+        task = self.data.task
+        mine = np.exp(plain.mu[0, task.condition] + plain.own[0])
+        if np.allclose(mine, self.fit.mu_s, rtol=_SAME):
+            return [f"the plain fit: {x}" for x in self.fit.notes]
+        return ["the plain fit told here is better than where its single start led (`plain`)"]
+
     def _there(self, named) -> set[str]:
         """Effects that are in the model already."""
         known = {name.partition(".")[0] for name in self.known}
@@ -278,7 +289,8 @@ class _Diagnosis:
             rig=rig,
             setup=extended_setup(self.setup, rig, task, base),
             mu_s=tuple(np.exp(base.mu[0, task.condition] + base.own[0]).tolist()),
-            notes=(*(f"the plain fit: {x}" for x in self.fit.notes), *self.notes),
+            notes=(*self._of_the_plain_fit(plain), *self.notes),
+            misfit=misfits(self.data, plain, base),
             work=(self.data, plain, base, before, after),
         )
 
@@ -360,7 +372,23 @@ class _Diagnosis:
             total = sum(weights) + np.exp(-0.5 * best.penalised_drop)
             cause = self._cause(plain, best, self._alike(best, others), scores, base)
             out.append(replace(cause, probability=float(1.0 / max(total, 1.0))))
-        return tuple(out)
+        # Every rig has many small imperfections, which good sensors see: first what counts.
+        return tuple(sorted(out, key=lambda cause: -cause.change))
+
+    def _changes(self, plain: Fits, at: Fits, effect: str) -> tuple[float, float]:
+        """Relative changes (rms over the pushes) of F_p and d that an effect makes, all else as it
+        is in the fit."""
+        task, index = self.data.task, self.data.task.model.coordinates.indices(numbers_of(effect))
+        c = np.repeat(at.c, 2 * task.n, axis=0)
+        c[:, 0] = np.tile(at.mu[0, task.condition] + at.own[0], 2)
+        c[task.n :, index] = plain.c[0, index]
+        push = np.tile(np.arange(task.n), 2)
+        told = task.model.answers(push, c, np.zeros((1, c.shape[1]))).model.reshape(2, task.n, 2)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            change = told[0] / told[1] - 1
+        change = np.where(np.isfinite(change), change, 0.0)
+        force, distance = np.sqrt(np.mean(change**2, axis=0)).tolist()
+        return force, distance
 
     def _cause(self, plain, candidate: Candidate, alike, scores, base=None) -> Cause:
         """The cause as it is told, its numbers those of the final fit."""
@@ -381,6 +409,7 @@ class _Diagnosis:
         changed = (at.mu[0, task.condition] + at.own[0]) - (
             plain.mu[0, task.condition] + plain.own[0]
         )
+        force, distance = self._changes(plain, at, effect)
         return Cause(
             id=effect,
             component=component_of(effect),
@@ -393,6 +422,8 @@ class _Diagnosis:
             p_value=candidate.p_value,
             heldout_gain=gain,
             change_mu_s=float(np.sqrt(np.mean(changed**2))),
+            change_peak_force=force,
+            change_sliding_distance=distance,
         )
 
     def _not_visible(self, scores: dict[str, Score], seen: set[str]) -> tuple[str, ...]:

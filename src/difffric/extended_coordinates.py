@@ -162,8 +162,11 @@ class Coordinates:
     def without(self, effect: str) -> Coordinates:
         """Without those of an effect's numbers."""
         keep = [k for k, name in enumerate(self.names) if name.partition(".")[0] != effect]
-        columns = (self.names, self.null, self.unit)
-        return Coordinates(*(tuple(column[k] for k in keep) for column in columns))
+
+        def of(column):
+            return tuple(column[k] for k in keep)
+
+        return Coordinates(of(self.names), of(self.null), of(self.unit))
 
     def with_forms(self) -> Coordinates:
         """With the coefficients of all free forms behind them."""

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from difffric.figures import STYLE, new_figure
 from difffric.location import Location
+from difffric.misfit import Misfit
 from difffric.units import to_mm_min
 from difffric.verdict import Diagnosis
 
@@ -42,6 +43,47 @@ def misfit(found: Diagnosis) -> Figure:
         axes[0].set_ylabel("squared residual per number,\nin units of the noise (1 is perfect)")
         axes[0].legend(frameon=False, fontsize=9)
     return figure
+
+
+_SCALE = {"m/s": (to_mm_min(1.0), "mm/min"), "m": (1e3, "mm"), "s": (1e3, "ms"), "": (1.0, "")}
+
+
+def where(found: Diagnosis) -> Figure:
+    """The misfit by phase and over what changes during a push and between pushes, before and
+    after."""
+    channels = list(dict.fromkeys(one.channel for one in found.misfit))
+    columns = list(dict.fromkeys(one.by for one in found.misfit))
+    with matplotlib.rc_context(STYLE):
+        rows, width = len(channels), 2.2 * len(columns)
+        options = {"rows": rows, "sharey": "row", "squeeze": False}
+        figure, axes = new_figure(len(columns), width, 2.4 * rows, **options)
+        for ax in axes.flat:
+            ax.set_visible(False)
+        for one in found.misfit:
+            ax = axes[channels.index(one.channel), columns.index(one.by)]
+            ax.set_visible(True)
+            _one(ax, one, bool(found.causes))
+            if one.channel == channels[0]:
+                ax.set_title(one.by)
+        for row, channel in enumerate(channels):
+            axes[row, 0].set_ylabel(f"{channel}\n(1 is perfect)")
+    return figure
+
+
+def _one(ax, one: Misfit, causes: bool) -> None:
+    scale, unit = _SCALE[one.unit]
+    named = isinstance(one.at[0], str)
+    x = np.arange(len(one.at)) if named else scale * np.array(one.at, float)
+    for y, colour, there in ((one.before, _BEFORE, True), (one.after, _AFTER, causes)):
+        if there:
+            ax.plot(x, y, "o" if named else "o-", ms=4, lw=1, color=colour)
+    ax.axhline(1.0, color="0.5", lw=1, ls=":")
+    ax.set_yscale("log")
+    if named:
+        ax.set_xticks(x, one.at, rotation=30, ha="right", fontsize=8)
+        ax.set_xlim(-0.5, len(x) - 0.5)
+    elif unit:
+        ax.set_xlabel(f"[{unit}]")
 
 
 def residuals(found: Diagnosis, shown: int = 3) -> Figure:

@@ -8,6 +8,7 @@ from typing import Any
 from difffric.certificates import Certificate
 from difffric.fitted import Fit
 from difffric.location import Location
+from difffric.misfit import Misfit
 from difffric.next_experiment import Experiment
 from difffric.rig import Rig
 from difffric.setup_file import Setup
@@ -35,7 +36,16 @@ class Cause:
     heldout_gain: float
     """drop of chi-square on held-out pushes"""
     change_mu_s: float = 0.0
-    """relative change (rms over the pushes) of the identified mu_s"""
+    """relative change (rms over the pushes) of the identified mu_s, all causes together"""
+    change_peak_force: float = 0.0
+    """relative change (rms over the pushes) of F_p that it makes"""
+    change_sliding_distance: float = 0.0
+    """the same of d"""
+
+    @property
+    def change(self) -> float:
+        """By how much it changes what a push does: the larger change of F_p and d."""
+        return max(self.change_peak_force, self.change_sliding_distance)
 
     def as_dict(self) -> dict[str, Any]:
         """As `result.json` holds it."""
@@ -54,6 +64,8 @@ class Cause:
             "p_value": self.p_value,
             "heldout_gain": self.heldout_gain,
             "change_mu_s": self.change_mu_s,
+            "change_peak_force": self.change_peak_force,
+            "change_sliding_distance": self.change_sliding_distance,
         }
 
 
@@ -101,6 +113,8 @@ class Diagnosis:
     """measurements that no value of the plain model's parameters can give"""
     experiments: tuple[Experiment, ...] = ()
     """pushes that would tell more, the most wanted first"""
+    misfit: tuple[Misfit, ...] = ()
+    """where the plain model misses, and what is left with the causes"""
     notes: tuple[str, ...] = ()
     work: Any = field(default=None, repr=False)
     """the search's own state, for figures"""
@@ -121,6 +135,7 @@ class Diagnosis:
             "impossible": dict(self.impossible),
             "next_experiment": self.experiments[0].as_dict() if self.experiments else None,
             "experiments": [one.as_dict() for one in self.experiments],
+            "misfit": [one.as_dict() for one in self.misfit],
             "mu_s": list(self.mu_s),
             "notes": list(self.notes),
         }
