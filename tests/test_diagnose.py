@@ -11,14 +11,19 @@ import pytest
 from typer.testing import CliRunner
 
 import difffric as df
+from difffric.alternatives import alternatives
+from difffric.cause_search import Candidate
 from difffric.cli import app
+from difffric.misfit import PHASES
 from difffric.setup_file import Setup, read_setup
+from difffric.shape_scan import within_the_way
 from tests.hidden import heldout, random_case, write
 from tests.prediction import prediction_error
 
 # One effect at least of each component, sizes at which it is not to be missed.
 HIDDEN = {
     "stribeck": {"seed": 2, "strength": 30, "delta": 1.0},
+    "presliding": {"seed": 700001},
     "rebound_damping": {"seed": 11, "strength": 30},
     "pusher_lag": {"seed": 5, "strength": 30},
     "force_gain": {"seed": 6, "strength": 30},
@@ -51,6 +56,18 @@ class Analysis:
         return prediction_error(setup, df.load(new), noise, **self.options)
 
 
+def where_the_misfit_sits(found):
+    """Over whatever it is told, it is the whole misfit, and no phase but one that a push has."""
+    before, after = found.work[3:]
+    channels = {"force": 0, "position": 1}
+    for one in found.misfit:
+        k = channels[one.channel]
+        total = (one.numbers * one.before).sum(), (one.numbers * one.after).sum()
+        np.testing.assert_allclose(total, (before.chi2[:, k].sum(), after.chi2[:, k].sum()))
+        if one.by == "phase":
+            assert {"closing", "rebounding", "free", "at rest"} <= set(one.at) <= set(PHASES)
+
+
 @pytest.mark.parametrize("effect", HIDDEN)
 def test_a_hidden_effect_is_named_sized_and_gains_on_new_pushes(effect, tmp_path):
     options = dict(HIDDEN[effect])
@@ -62,6 +79,8 @@ def test_a_hidden_effect_is_named_sized_and_gains_on_new_pushes(effect, tmp_path
     if cause.id == effect and effect not in ANOTHER_FORM:
         for key, (value, error) in cause.parameters.items():
             assert abs(value - one.case.effects[effect][key]) < 4 * error
+    assert cause.change > 0
+    where_the_misfit_sits(one.found)
     assert one.found.gain.after < one.found.gain.before
     plain = Setup(one.found.plain.rig, one.found.plain.scatter)
     before, after = one.error(plain), one.error(one.found.setup)
@@ -91,6 +110,31 @@ def test_inseparable_effects_are_one_set(tmp_path):
     assert one.found.verdict == "ambiguous"
     assert {"tilt", "friction_ratio"} <= one.first
     assert one.found.experiments[0].separates[0] == one.found.causes[0].id
+    data, plain, base, *_ = one.found.work
+    first = one.found.causes[0]
+    cause = Candidate(first.id, base, first.chi2_drop, 0.0, first.p_value, first.chi2_drop)
+    others = ["tilt", "friction_ratio", "probe_scale", "force_offset"]
+    others.remove(first.id)
+    found = alternatives(data.task, plain, base, cause, others)
+    assert {c.effect for c in found} < {"tilt", "friction_ratio"}
+    assert all(c.drop == pytest.approx(cause.drop, abs=6) for c in found)
+
+
+def test_a_wave_longer_than_two_ways_is_none(tmp_path):
+    write(random_case(2, kind="table"), tmp_path)
+    found = df.diagnose(read_setup(tmp_path / "setup.toml"), df.load(tmp_path / "pushes.csv"))
+    data, plain, *_ = found.work
+    coordinates = data.task.model.coordinates
+    names = [f"friction_waviness.{key}" for key in ("amplitude", "wavelength_m", "phase_rad")]
+    for ways in (1.9, 2.1):
+        c = plain.c[0].copy()
+        length = ways * data.scales.ways.max()
+        c[coordinates.indices(names)] = coordinates.point(
+            dict(zip(names, (0.1, length, 0.5), strict=True))
+        )
+        there = within_the_way(data.task, c, "friction_waviness", data.scales)
+        assert there == (ways < 2)
+        assert within_the_way(data.task, c, "friction_patch", data.scales)
 
 
 def test_what_the_catalogue_lacks_is_located(tmp_path):

@@ -110,6 +110,14 @@ def test_recordings_give_the_rig_back_to_parts_in_ten_thousand(fit_of_recordings
     assert np.abs(own).max() < 4.5
 
 
+def test_one_start_finds_what_all_find_where_the_model_is_right(fit_of_recordings, white):
+    one = df.fit(rough(), white, thorough=False)
+    assert one.converged and one.starts_at_optimum == (1, 1)
+    for label in FREE:
+        error = fit_of_recordings.standard_error(label)
+        assert one.value(label) == pytest.approx(fit_of_recordings.value(label), abs=0.01 * error)
+
+
 def test_correlated_noise_widens_the_error_bars_and_the_truth_stays_inside(
     fit_of_recordings, pushes
 ):

@@ -129,6 +129,15 @@ def starts_of(
     return fits
 
 
+def promising(task: Task, base: Fits, effect: str, scales: Scales) -> bool:
+    """Whether one step from any size on an effect's grid promises to be better than `base`, on some
+    pushes."""
+    some = subset_of(task)
+    fits = en.evaluated(task, starts_of(task, base, effect, scales, some), some)
+    _, promised = _promised(task, fits)
+    return bool(promised.min() < en.penalised(task, base, some)[0])
+
+
 def score_starts(
     task: Task, base: Fits, effects: Sequence[str], scores: dict[str, Score]
 ) -> tuple[Fits, list[str]]:

@@ -189,7 +189,8 @@ class _Diagnosis:
 
     def _explored(self, base: Fits, wanted, scores, k: int) -> list[Candidate]:
         """The leading effects on top of `base`, the best first. Bristles have no null, and take a
-        program of their own: they are looked for where there is something to explain."""
+        program of their own that takes long: they are looked for where there is something to
+        explain and they might."""
         data, strong = self.data, far(self.data.task, base)
 
         def explore(effects, part):
@@ -200,7 +201,8 @@ class _Diagnosis:
 
         found = explore([e for e in wanted if e != PRESLIDING], 0.8)
         if PRESLIDING in wanted and (strong or any(c.p_value < _HINT for c in found)):
-            found += explore([PRESLIDING], 1.0)
+            if search.promising(data.task, base, PRESLIDING, data.scales):
+                found += explore([PRESLIDING], 1.0)
         return sorted(found, key=lambda c: -c.penalised_drop)
 
     def _of_the_plain_fit(self, plain: Fits) -> list[str]:

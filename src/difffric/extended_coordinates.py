@@ -88,7 +88,9 @@ class Coordinates:
         coordinates (which may have further columns behind them)."""
         J = self._values(c, names)[1][:, list(free)]
         covariance = covariance[: len(free), : len(free)]
-        return np.sqrt(np.einsum("ij,jk,ik->i", J, covariance, J)).tolist()
+        variance = np.einsum("ij,jk,ik->i", J, covariance, J)
+        # Below zero by rounding, where the data say nothing: no number.
+        return np.sqrt(np.where(variance >= 0, variance, np.nan)).tolist()
 
     def _values(self, c, names):
         """(values, their derivatives by all coordinates)."""
