@@ -262,13 +262,13 @@ def _far(task: Task, base: Fits, effects: list[str], scales, scores, tell):
     tell(0.65)
     subset_cost = en.criterion(task, fits)
     leaders = list(np.argsort(subset_cost)[: 2 * _LEADERS if quick else _LEADERS])
-    by_score = sorted(range(fits.m), key=lambda j: -_drop(scores.get(effects[int(owner[j])])))
-    leaders += [j for j in by_score[:_SCORED] if j not in leaders]
     fits, owner = fits.pick(leaders), owner[leaders]
     starts = _on_all(task, base, fits, effects, owner, some)
     behind = np.tile(owner, 2)
-    # And from where the score tests lead.
-    near, known = score_starts(task, base, [effects[int(k)] for k in owner], scores)
+    # And from where the score tests lead, whatever became of those effects on the grid.
+    by_score = sorted((e for e in effects if e in scores), key=lambda e: -scores[e].drop)
+    near_ones = dict.fromkeys([*(effects[int(k)] for k in owner), *by_score[:_SCORED]])
+    near, known = score_starts(task, base, list(near_ones), scores)
     starts = en.evaluated(task, en.together(starts, near) if near.m else starts)
     behind = np.append(behind, [effects.index(e) for e in known]).astype(int)
     first = _first_of_each(_promised(task, starts)[1], behind)

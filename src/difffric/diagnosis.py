@@ -200,9 +200,13 @@ class _Diagnosis:
             return search.explore(data.task, base, effects, data.scales, scores, tell, strong)
 
         found = explore([e for e in wanted if e != PRESLIDING], 0.8)
-        if PRESLIDING in wanted and (strong or any(c.p_value < _HINT for c in found)):
-            if search.promising(data.task, base, PRESLIDING, data.scales):
-                found += explore([PRESLIDING], 1.0)
+        hint = strong or any(c.p_value < _HINT for c in found)
+        if (
+            PRESLIDING in wanted
+            and hint
+            and search.promising(data.task, base, PRESLIDING, data.scales)
+        ):
+            found += explore([PRESLIDING], 1.0)
         return sorted(found, key=lambda c: -c.penalised_drop)
 
     def _of_the_plain_fit(self, plain: Fits) -> list[str]:
