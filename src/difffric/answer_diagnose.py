@@ -35,6 +35,10 @@ def _sizes(cause: Cause) -> str:
     )
 
 
+def _share(x: float) -> str:
+    return f"{100 * x:.2g} %" if x > 1e-6 else "0"
+
+
 def _row(cause: Cause) -> list[str]:
     return [
         cause.id,
@@ -43,7 +47,7 @@ def _row(cause: Cause) -> list[str]:
         number(cause.probability, 3),
         ", ".join(cause.confusable_with) or "–",
         number(cause.chi2_drop),
-        f"{100 * cause.change_peak_force:.2g} %, {100 * cause.change_sliding_distance:.2g} %",
+        f"{_share(cause.change_peak_force)}, {_share(cause.change_sliding_distance)}",
     ]
 
 
@@ -54,7 +58,7 @@ _COLUMNS = (
     "probability",
     "confusable with",
     "drop of χ²",
-    "changes F_p, d by",
+    "changes F_p, d",
 )
 
 
@@ -89,7 +93,7 @@ def experiment_table(found: Diagnosis) -> Table:
         for one in found.experiments
     ]
     columns = ("tells", "v [mm/min]", "mass [kg]", "stroke [mm]", "rest before [s]",
-               "apart by [standard deviations]")  # fmt: skip
+               "apart by [s.d.]")  # fmt: skip
     return Table("The push that would tell most", columns, rows)
 
 
@@ -134,19 +138,22 @@ def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
                       "at most [µm]"), rows)  # fmt: skip
         sections.append(Section("Beyond the plain model", tables=(table,)))
     if pictures:
-        drawn = [
-            Picture(
-                "misfit", "Where the plain model misses, push by push.",
-                figures_diagnose.misfit(found),
-            )
-        ]  # fmt: skip
+        recordings = found.work[0].task.model.recordings
+        drawn = []
+        if recordings:
+            drawn.append(
+                Picture(
+                    "misfit", "Where the plain model misses, push by push.",
+                    figures_diagnose.misfit(found),
+                )
+            )  # fmt: skip
         drawn.append(
             Picture(
-                "where", "Squared residuals per number, by phase of the push and over what changes "
+                "where", "Squared residuals per number, in units of the noise, over what changes "
                 "(red: plain, blue: with its causes).", figures_diagnose.where(found),
             )
         )  # fmt: skip
-        if found.work[0].task.model.recordings:
+        if recordings:
             drawn.append(
                 Picture(
                     "residuals", "Residuals of the pushes that the plain model fits worst "

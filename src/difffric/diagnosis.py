@@ -59,7 +59,7 @@ _FEWEST = 3
 _VISIBLE = 3.0
 """Standard deviations at its typical size from which an effect can be seen."""
 _SAME = 0.01
-"""Relative difference of the pushes' mu_s up to which two plain fits are the same."""
+"""Relative difference of the mean mu_s up to which two plain fits are the same."""
 _HINT = 0.05
 """Probability of what the best effect explains by chance, below which bristles are looked for."""
 _HIDING = 6
@@ -212,8 +212,8 @@ class _Diagnosis:
     def _of_the_plain_fit(self, plain: Fits) -> list[str]:
         """What its single start says of itself, where that is what the search went on with."""
         task = self.data.task
-        mine = np.exp(plain.mu[0, task.condition] + plain.own[0])
-        if np.allclose(mine, self.fit.mu_s, rtol=_SAME):
+        away = plain.mu[0, task.condition] + plain.own[0] - np.log(self.fit.mu_s)
+        if abs(np.mean(away)) < _SAME:
             return [f"the plain fit: {x}" for x in self.fit.notes]
         return ["the plain fit told here is better than where its single start led (`plain`)"]
 

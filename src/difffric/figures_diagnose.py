@@ -78,7 +78,9 @@ def _one(ax, one: Misfit, causes: bool) -> None:
         if there:
             ax.plot(x, y, "o" if named else "o-", ms=4, lw=1, color=colour)
     ax.axhline(1.0, color="0.5", lw=1, ls=":")
-    ax.set_yscale("log")
+    every = [*one.before, *(one.after if causes else ())]
+    if max(every) > 30 * max(min(every), 0.1):
+        ax.set_yscale("log")
     if named:
         ax.set_xticks(x, one.at, rotation=30, ha="right", fontsize=8)
         ax.set_xlim(-0.5, len(x) - 0.5)

@@ -17,7 +17,8 @@ from difffric.ensemble import Fits
 from difffric.reduction import Reduced
 
 PHASES = ("stuck", "closing", "rebounding", "free", "at rest")
-FORCE, POSITION, DISTANCE = "force", "position", "distance"
+FORCE, POSITION, DISTANCE, FRICTION = "force", "position", "distance", "mu_s"
+"""Channels; of a table, each push's mu_s in units of its scatter is one."""
 _BINS = 8
 _SMOOTH = 5
 """Blocks over which the part's speed is taken."""
@@ -120,12 +121,16 @@ def _channels(data: DiagnosisData, plain: Fits, extended: Fits) -> list[_Channel
         (fits.residual[0] / fits.spread[0][None, :, None]) ** 2 for fits in (plain, extended)
     ]
     if data.reduction is None:
-        pushes = [np.flatnonzero(there) for there in (task.counts > 0).T]
-        return [
-            _Channel(name, squares[0][mine, k, 0], squares[1][mine, k, 0], mine)
-            for k, (name, mine) in enumerate(zip((FORCE, DISTANCE), pushes, strict=True))
-            if len(mine)
-        ]
+        out = []
+        for k, name in enumerate((FORCE, DISTANCE)):
+            mine = np.flatnonzero(task.counts[:, k])
+            # A mu_s of each push takes up its distance: what it takes stands below.
+            if len(mine) and (name == FORCE or not task.mu_free):
+                out.append(_Channel(name, squares[0][mine, k, 0], squares[1][mine, k, 0], mine))
+        if task.mu_free:
+            before, after = ((fits.own[0] / fits.scatter[0]) ** 2 for fits in (plain, extended))
+            out.append(_Channel(FRICTION, before, after, np.arange(task.n)))
+        return out
     out = []
     course = [_course(data, i, reduced) for i, reduced in enumerate(data.reduction.details)]
     for k, name in enumerate((FORCE, POSITION)):
