@@ -60,8 +60,6 @@ _VISIBLE = 3.0
 """Standard deviations at its typical size from which an effect can be seen."""
 _SAME = 0.01
 """Relative difference of the mean mu_s up to which two plain fits are the same."""
-_HINT = 0.05
-"""Probability of what the best effect explains by chance, below which bristles are looked for."""
 _HIDING = 6
 """Steps in which the plain model takes up what an invisible effect does."""
 _TEXT = {RATIO: "mu_k / mu_s is not what the set-up says"}
@@ -189,8 +187,8 @@ class _Diagnosis:
 
     def _explored(self, base: Fits, wanted, scores, k: int) -> list[Candidate]:
         """The leading effects on top of `base`, the best first. Bristles have no null, and take a
-        program of their own that takes long: they are looked for where there is something to
-        explain and they might."""
+        program of their own that takes long: they are looked for where the misfit is large, no
+        other effect explains it and they might."""
         data, strong = self.data, far(self.data.task, base)
 
         def explore(effects, part):
@@ -200,14 +198,18 @@ class _Diagnosis:
             return search.explore(data.task, base, effects, data.scales, scores, tell, strong)
 
         found = explore([e for e in wanted if e != PRESLIDING], 0.8)
-        hint = strong or any(c.p_value < _HINT for c in found)
+        wanting = strong and not any(self._explains(c) for c in found)
         if (
             PRESLIDING in wanted
-            and hint
+            and wanting
             and search.promising(data.task, base, PRESLIDING, data.scales)
         ):
             found += explore([PRESLIDING], 1.0)
         return sorted(found, key=lambda c: -c.penalised_drop)
+
+    def _explains(self, candidate: Candidate) -> bool:
+        """Whether an effect leaves no large misfit."""
+        return not far(self.data.task, candidate.fits)
 
     def _of_the_plain_fit(self, plain: Fits) -> list[str]:
         """What its single start says of itself, where that is what the search went on with."""
