@@ -14,31 +14,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from difffric.card_registers import ADC_VOLTS, CONTROLS, FIFOS, INDICATORS
+from difffric.card_registers import METRES_PER_COUNT as METRES_PER_COUNT
 from difffric.errors import DifffricError, InputError
 
-CONTROLS = {
-    "velocity_nm_per_s": "U32: commanded speed of the pusher",
-    "stroke_nm": "U32: its travel",
-    "quiet_samples": "U32: samples before the pusher starts, which it does half a sample later",
-    "rest_samples": "U32: samples after part and pusher have come to rest",
-    "start": "Boolean: true starts a push, and clears the indicators of the last",
-}
-INDICATORS = {
-    "sample_rate_Hz": "U32: of both FIFOs",
-    "done": "Boolean: the push has ended, and no more of its words will come",
-    "samples": "U32: samples taken in this push",
-    "streamed": "U32: those of them whose words went into both FIFOs",
-    "overflow": "Boolean: a FIFO was full, and both have been closed until the push ends",
-}
-FIFOS = {
-    "force": "I16: the converter's word, a sample a word",
-    "position": "U64: sample number in this push (upper 32 bits), encoder count (lower, signed)",
-}
-
-ADC_VOLTS = 10.0
-"""The converter's range [V], either sign, over 16 bits."""
 VOLTS_PER_WORD = ADC_VOLTS / 2**15
-METRES_PER_COUNT = 20e-9
+"""the converter's range, either sign, over 16 bits"""
 
 
 class CardError(DifffricError):

@@ -12,7 +12,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.card import METRES_PER_COUNT, VOLTS_PER_WORD, position_words
+from difffric.card import METRES_PER_COUNT, VOLTS_PER_WORD, position_words, split_position
+from difffric.card_registers import AT_RESET, INDICATORS
 from difffric.errors import InputError
 
 Evaluate = Callable[[NDArray], tuple[NDArray, NDArray]]
@@ -59,10 +60,8 @@ class SimulatedCard:
         self.resolution = resolution
         self.noise_force, self.noise_position = noise_force, noise_position
         self.fifos = {"force": _Fifo(self, np.int64), "position": _Fifo(self, np.uint64)}
-        names = ("velocity_nm_per_s", "stroke_nm", "quiet_samples", "rest_samples", "start")
-        seen = {"sample_rate_Hz": self.rate, "done": False, "samples": 0, "streamed": 0}
-        self.state = {**dict.fromkeys(names, 0), **seen, "overflow": False}
-        self.registers = {name: _Register(self, name) for name in self.state}
+        self.state: dict[str, int] = {}
+        self.registers = {name: _Register(self, name) for name in AT_RESET}
         self.pushes = 0
         self.reset()
 
@@ -76,19 +75,23 @@ class SimulatedCard:
         """As the real one; there is nothing to run."""
 
     def reset(self) -> None:
-        """Ends the push and stops the FIFOs."""
+        """Ends the push, stops the FIFOs and puts the registers back."""
         for fifo in self.fifos.values():
             fifo.stop()
+        self.state |= AT_RESET
+        self._clear()
         self._words = np.zeros(0, np.int64), np.zeros(0, np.uint64)
-        self._time = 0.0  # of the card's clock since the push's first sample
-        self.state |= {"done": False, "samples": 0, "streamed": 0, "overflow": False}
 
     def begin(self) -> None:
         """Start the push that the registers say."""
-        self.state |= {"done": False, "samples": 0, "streamed": 0, "overflow": False}
-        self._time = 0.0
+        self._clear()
         self._words = self._digitised()
         self.pushes += 1
+
+    def _clear(self) -> None:
+        self.state |= {name: AT_RESET[name] for name in INDICATORS} | {"sample_rate_Hz": self.rate}
+        self._time = 0.0  # of the card's clock since the push's first sample
+        self._contact = False
 
     def _digitised(self) -> tuple[NDArray, NDArray]:
         """The words of both FIFOs for the whole push."""
@@ -120,8 +123,32 @@ class SimulatedCard:
         for fifo, source in zip(self.fifos.values(), words, strict=True):
             fifo.held = np.concatenate([fifo.held, source[taken : taken + passed]])
         state["overflow"] = state["overflow"] or taken + passed < now
+        self._watch(taken, now)
         state |= {"samples": now, "streamed": state["streamed"] + passed}
         state["done"] = now == total > 0
+
+    def _watch(self, taken: int, now: int) -> None:
+        """What the card itself sees of the samples from `taken` to `now`."""
+        force, state = self._words[0][taken:now], self.state
+        if not len(force):
+            return
+        state["peak_word"] = max(state["peak_word"], int(force.max()))
+        at_an_end = (force == -(2**15)) | (force == 2**15 - 1)
+        state["saturated_samples"] += int(at_an_end.sum())
+        low = state["contact_threshold_word"]
+        made, below = force >= low + state["contact_hysteresis_word"], force < low
+        crossings = np.flatnonzero(made | below)
+        if not len(crossings):
+            return
+        contact = made[crossings]
+        losses = crossings[~contact & np.concatenate([[self._contact], contact[:-1]])]
+        self._contact = bool(contact[-1])
+        if len(losses):
+            sample = taken + int(losses[-1])
+            _, count = split_position(self._words[1][sample])
+            state |= {"released": True, "release_sample": sample, "release_count": int(count)}
+        if self._contact:
+            state["released"] = False
 
 
 class _Register:

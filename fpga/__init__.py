@@ -1,0 +1,1 @@
+"""The card: the description of its interface, and an emulator of it below NI's driver interface."""

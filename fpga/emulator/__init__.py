@@ -1,0 +1,1 @@
+"""A card that is not there: NI's C interface, with pushes played behind it."""
