@@ -15,8 +15,9 @@ from difffric.ensemble import Fits, Task
 from difffric.lack_of_fit import far
 
 _ROUNDS = 20
-_BETTER = 1.0
-"""Of -2 log likelihood: a fit without an effect that is better by so much is another optimum."""
+_BETTER, _SHARE = 1.0, 0.01
+"""Of -2 log likelihood, and of what the effect explains: a fit without an effect that is better by
+so much is another optimum."""
 
 
 def best_base(task: Task, start: Fits, guess: Fits) -> Fits:
@@ -42,7 +43,8 @@ def relieved(task: Task, base: Fits, found: Sequence[Candidate]) -> Fits | None:
         c[0, index] = base.c[0, index]
         bare = replace(candidate.fits, c=c, extra=base.extra, gram=None, damping=None)
         bare = _reowned(task, refits.refitted(task, bare, _ROUNDS))
-        if float(en.criterion(task, bare)[0]) < before - _BETTER:
+        worth = max(_BETTER, _SHARE * candidate.drop)
+        if float(en.criterion(task, bare)[0]) < before - worth:
             return bare
     return None
 
