@@ -18,11 +18,12 @@ from difffric import cause_search as search
 from difffric import ensemble as en
 from difffric import refits
 from difffric.alternatives import alternatives
-from difffric.candidates import LOCAL, component_of, numbers_of
+from difffric.candidates import LOCAL, numbers_of
 from difffric.cause_search import Candidate, Score
+from difffric.causes import cause_of
 from difffric.certificates import Certificate, unreachable
 from difffric.diagnosis_start import folds_of, start_of
-from difffric.effects import CATALOGUE, KEYS, RATIO
+from difffric.effects import KEYS, RATIO
 from difffric.ensemble import Fits
 from difffric.errors import InputError, NumericalError, require_float64
 from difffric.extended_model import PRESLIDING, SLIDES
@@ -62,7 +63,6 @@ _SAME = 0.01
 """Relative difference of the mean mu_s up to which two plain fits are the same."""
 _HIDING = 6
 """Steps in which the plain model takes up what an invisible effect does."""
-_TEXT = {RATIO: "mu_k / mu_s is not what the set-up says"}
 
 
 def _silent(what: str, share: float) -> None:
@@ -383,56 +383,15 @@ class _Diagnosis:
         # Every rig has many small imperfections, which good sensors see: first what counts.
         return tuple(sorted(out, key=lambda cause: -cause.change))
 
-    def _changes(self, plain: Fits, at: Fits, effect: str) -> tuple[float, float]:
-        """Relative changes (rms over the pushes) of F_p and d that an effect makes, all else as it
-        is in the fit."""
-        task, index = self.data.task, self.data.task.model.coordinates.indices(numbers_of(effect))
-        c = np.repeat(at.c, 2 * task.n, axis=0)
-        c[:, 0] = np.tile(at.mu[0, task.condition] + at.own[0], 2)
-        c[task.n :, index] = plain.c[0, index]
-        push = np.tile(np.arange(task.n), 2)
-        told = task.model.answers(push, c, np.zeros((1, c.shape[1]))).model.reshape(2, task.n, 2)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            change = told[0] / told[1] - 1
-        change = np.where(np.isfinite(change), change, 0.0)
-        force, distance = np.sqrt(np.mean(change**2, axis=0)).tolist()
-        return force, distance
-
     def _cause(self, plain, candidate: Candidate, alike, scores, base=None) -> Cause:
         """The cause as it is told, its numbers those of the final fit."""
-        task, effect = self.data.task, candidate.effect
-        at = candidate.fits if base is None else base
-        coordinates = task.model.coordinates
-        columns = [*task.shared, *at.extra[0]]
-        C = en.covariance(task, at)[0][task.conditions :, task.conditions :]
-        names = numbers_of(effect)
-        keys = ["ratio" if effect == RATIO else name.partition(".")[2] for name in names]
-        errors = coordinates.errors(at.c[0], names, columns, C)
-        pairs = zip(coordinates.values(at.c[0], names), errors, strict=True)
-        found = dict(zip(keys, pairs, strict=True))
-        score = scores.get(effect)
         if self.held_plain is None:
             self.held_plain = self._surprise(plain)
         gain = self.held_plain - self._surprise(candidate.fits)
-        changed = (at.mu[0, task.condition] + at.own[0]) - (
-            plain.mu[0, task.condition] + plain.own[0]
-        )
-        force, distance = self._changes(plain, at, effect)
-        return Cause(
-            id=effect,
-            component=component_of(effect),
-            text=_TEXT.get(effect) or CATALOGUE[effect].text,
-            probability=1.0,
-            confusable_with=alike,
-            parameters=found,
-            chi2_drop=candidate.drop,
-            chi2_drop_predicted=0.0 if score is None else score.drop,
-            p_value=candidate.p_value,
-            heldout_gain=gain,
-            change_mu_s=float(np.sqrt(np.mean(changed**2))),
-            change_peak_force=force,
-            change_sliding_distance=distance,
-        )
+        score = scores.get(candidate.effect)
+        predicted = 0.0 if score is None else score.drop
+        at = candidate.fits if base is None else base
+        return cause_of(self.data.task, plain, at, candidate, alike, predicted, gain)
 
     def _not_visible(self, scores: dict[str, Score], seen: set[str]) -> tuple[str, ...]:
         unseen = [e for e, s in scores.items() if s.visible < _VISIBLE and e not in seen]
