@@ -560,13 +560,26 @@ def test_a_recording_is_the_same_through_nifpga_as_through_the_simulated_card(tm
     assert simulated.read_bytes() == emulated.read_bytes()
 
 
+def busy_after_start(emulator, session, seconds):
+    """The host is elsewhere for a while as soon as it has started a push."""
+    register = session.registers["start"]
+    write = register.write
+
+    def write_and_leave(data):
+        write(data)
+        emulator.pass_time(seconds)
+
+    register.write = write_and_leave
+
+
 def test_samples_lost_by_the_emulated_card_are_counted(tmp_path):
     path = tmp_path / "cut.tdms"
     whole, words = played(tmp_path / "whole.tdms", [FAST, FAST])
-    with emulated_card(rate=10_000, look=0.02) as emulator:
+    with emulated_card(rate=10_000) as emulator:
         for push in words:
             emulator.add_push(*push)
         with emulator.open() as session:
+            busy_after_start(emulator, session, 0.05)
             acquired = acquire(session, [FAST, FAST], path, depth=300)
     cut = read_recordings(path)
     for all_of_it, one, kept in zip(whole, acquired, cut, strict=True):

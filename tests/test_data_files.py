@@ -654,10 +654,22 @@ def test_what_was_appended_is_readable_without_closing():
     assert [push.force.n for push in data] == [400, 400]  # type: ignore[union-attr]
     whole = Path("pushes.tdms").read_bytes()
     Path("cut.tdms").write_bytes(whole[:-7])
-    kept = read_recordings("cut.tdms", skip_bad=True)
-    assert [push.name for push in kept] == ["push_01"]
-    assert kept[0].force is not None and len(kept[0].force.samples) == len(words)
+    kept = read_recordings("cut.tdms")  # the push says itself that it never ended
+    assert [(push.force.n, push.position.n) for push in kept] == [(400, 20), (300, 15)]  # type: ignore[union-attr]
+    assert kept[1].force is not None and np.array_equal(
+        kept[1].force.samples, words[:300] * (10 / 2**15)
+    )
+    writer.end()
+    Path("cut.tdms").write_bytes(Path("pushes.tdms").read_bytes() + whole[-200:-7])
+    with pytest.raises(InputError, match="damaged"):
+        read_recordings("cut.tdms")
+    writer.begin("push_03", {"force": Waveform("N", 1e-4)}, velocity_mm_min=3000.0)
+    writer.append(force=words)
+    writer.end(lost=7)
     writer.close()
+    whole = Path("pushes.tdms").read_bytes()
+    group = TdmsFile.read("pushes.tdms")["push_03"]
+    assert group.properties["complete"] and group.properties["lost_samples"] == 7
 
 
 @pytest.mark.parametrize(

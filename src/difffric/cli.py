@@ -191,39 +191,47 @@ def acquire(
     seed: Annotated[int, typer.Option(help="simulated: of noise and scatter", min=0)] = 0,
     bitfile: Annotated[Path | None, typer.Option(help="of the card, .lvbitx")] = None,
     resource: Annotated[str, typer.Option(help="the card's name")] = "RIO0",
+    setup: Annotated[
+        Path | None, typer.Option(help="with a card: the rig, to identify each push")
+    ] = None,
+    plot: Annotated[bool, typer.Option("--plot", help="a live figure")] = False,
     out: Out = None,
     quiet: Quiet = False,
 ) -> None:
-    """Record pushes into pushes.tdms, in --out or here: from the card, or simulated."""
+    """Record pushes into pushes.tdms, in --out or here, and identify them as they come."""
     _check_out(out)
     for v in velocity_mm_min or ():
         _positive("--velocity-mm-min", v)
     _positive("--rate-hz", rate_hz)
     _positive("--stroke-mm", stroke_mm)
     from difffric import answer_acquire as answers
-    from difffric.acquire import acquire as record
-    from difffric.card import METRES_PER_COUNT, open_card
+    from difffric.card import open_card
+    from difffric.errors import InputError
     from difffric.report import folder_for
     from difffric.setup_file import read_setup
+    from difffric.simulated_rig import simulated_card
     from difffric.units import from_mm
 
-    stroke = None if stroke_mm is None else from_mm(stroke_mm)
-    truth, mass, resolution = [], float("nan"), METRES_PER_COUNT
-    if simulate is None:
-        card = open_card(bitfile, resource)
+    if simulate is not None and setup is not None:
+        raise InputError("--setup is for a card: --simulate has its set-up")
+    file = simulate or setup
+    known, truth = None if file is None else read_setup(file), []
+    if known is not None and simulate is not None:
+        card, truth = simulated_card(known, rate_hz, seed)
     else:
-        setup = read_setup(simulate)
-        stroke = setup.rig.pusher.stroke if stroke is None else stroke
-        mass, resolution = float(setup.rig.mass), setup.rig.probe.resolution
-        card, truth = answers.simulated_card(setup, rate_hz, seed)
+        card = open_card(bitfile, resource)
+    stroke = None if stroke_mm is None else from_mm(stroke_mm)
+    if stroke is None and known is not None:
+        stroke = known.rig.pusher.stroke
+    mass = float("nan") if known is None else float(known.rig.mass)
     pushes = answers.commands(velocity_mm_min or (), stroke=stroke, mass=mass)
-    with folder_for(out or Path()) as folder, card as session, _progress(quiet) as tell:
-        file = folder / "pushes.tdms"
-        found = record(session, pushes, file, tell=tell, resolution=float(resolution))
+    with folder_for(out or Path()) as folder, card as session:
+        run = answers.record(session, pushes, folder, setup=known, quiet=quiet, plot=plot)
     note = answers.NO_STROKE if stroke is None else None
     seeded = None if simulate is None else seed
-    answer = answers.acquire_answer(found, file.name, truth=truth, seed=seeded, stroke=note)
-    _finish(answers.acquire_report(answer), answer, out)
+    answer = answers.acquire_answer(run, truth=truth, seed=seeded, stroke=note)
+    _finish(answers.acquire_report(answer, run, pictures=out is not None), answer, out)
+    answers.raise_for_lost(run)
 
 
 @app.command()

@@ -17,6 +17,10 @@ class NumericalError(DifffricError, ArithmeticError):
     """The input is fine and still there is no answer; the message says why."""
 
 
+class DiskError(DifffricError):
+    """What was recorded cannot be written any more; the message says what is in the file."""
+
+
 def require_float64() -> None:
     """Raise `InputError` unless JAX computes in 64 bits.
 

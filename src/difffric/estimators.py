@@ -36,7 +36,7 @@ from difffric.trace_friction import trace_friction
 
 
 @dataclass(frozen=True)
-class _Calibration:
+class Calibration:
     """What is known of the rig: its values by condition, and how uncertain they are."""
 
     rig: Rig
@@ -48,7 +48,7 @@ class _Calibration:
     """of F_p [N] and d [m], as the calibration found them; NaN: it did not"""
 
     @classmethod
-    def read(cls, rig: Rig | Setup | Fit) -> _Calibration:
+    def read(cls, rig: Rig | Setup | Fit) -> Calibration:
         """From a fit its covariance, from a set-up its standard errors (without correlations)."""
         if isinstance(rig, Fit):
             fit = rig
@@ -105,7 +105,7 @@ def identify(
 
     Raises `InputError` for data that cannot be used with the rig (`data_checks`).
     """
-    known = _Calibration.read(rig)
+    known = Calibration.read(rig)
     checked(known.rig)
     reduction = None
     if isinstance(data, Recordings):
@@ -122,7 +122,7 @@ def identify(
         own = jnp.array([float(parameters.values(r)[name]) for r, _ in of])
         if name != "mass_kg":
             rigs = parameters.with_values(rigs, {name: own})
-    roots = np.stack([_root(c) for _, c in of])
+    roots = np.stack([root_of(c) for _, c in of])
     if pushes.free_slides:
         answers = [
             PushFriction(np.nan, c, None, NONE, NONE, NONE, NONE, None, (), None, None)
@@ -140,7 +140,7 @@ def identify(
     return Identified(tuple(answers), pushes.skipped)
 
 
-def _root(covariance: NDArray) -> NDArray:
+def root_of(covariance: NDArray) -> NDArray:
     """R with R R^T the covariance, which may be singular: of a parameter that is held."""
     variance, axes = np.linalg.eigh(covariance)
     return axes * np.sqrt(np.maximum(variance, 0.0))
@@ -155,7 +155,7 @@ def _inverted(known, rigs, pushes, roots, range_ratio, options) -> list[PushFric
     force = invert(rigs, velocity, pushes.peak_force, "peak_force", **options)
     distance = invert(rigs, velocity, pushes.sliding_distance, "sliding_distance", **options)
     distance = _supported_by_force(rigs, pushes, distance, integrator)
-    gradients, regimes = _around(rigs, pushes, force, distance, known.names, integrator)
+    gradients, regimes = around(rigs, pushes, force, distance, known.names, integrator)
     fallback = [
         sensor if np.isnan(spread) else spread
         for spread, sensor in zip(known.spreads, sensor_errors(known.rig), strict=True)
@@ -166,7 +166,7 @@ def _inverted(known, rigs, pushes, roots, range_ratio, options) -> list[PushFric
         for own, other in zip(own_se, fallback, strict=True)
     ]
     return [
-        _combine(
+        combine(
             pushes, i, force[i], distance[i], (se[0][i], se[1][i]), gradients[i], roots[i],
             range_ratio, regimes[i],
         )
@@ -230,7 +230,7 @@ def _with_traces(
     ]
 
 
-def _combine(pushes, i, force, distance, se, gradient, root, range_ratio, regime):
+def combine(pushes, i, force, distance, se, gradient, root, range_ratio, regime):
     """One push: the two inversions, (7), and generalised least squares on both."""
     pair = (force, distance)
     exists = np.array([x.value is not None for x in pair])
@@ -327,7 +327,7 @@ def _supported_by_force(rigs, pushes, distance, integrator) -> list[Inversion]:
     return chosen
 
 
-def _around(rigs, pushes, force, distance, free, integrator):
+def around(rigs, pushes, force, distance, free, integrator):
     """For each push the derivatives (2, len(free)) of F_p at mu_force and of d at mu_dist by the
     coordinates of the calibrated parameters, and the regime between the two."""
     n = len(pushes)

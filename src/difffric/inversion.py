@@ -193,7 +193,7 @@ def invert(
         least_most = _ends(some, v, quantity, bracket, integrator)
         ends = dict(zip(rootless.tolist(), zip(*least_most, strict=True), strict=True))
     return [
-        _answer(roots[i], target[i], quantity, bracket, ends.get(i))
+        answer_of(roots[i], target[i], quantity, bracket, ends.get(i))
         if measured[i]
         else Inversion(None, reason=f"no {_NAMES[quantity]} was measured")
         for i in range(n)
@@ -203,7 +203,7 @@ def invert(
 _NAMES = {"peak_force": "peak force", "sliding_distance": "sliding distance"}
 
 
-def _answer(roots, target, quantity, bracket, ends) -> Inversion:
+def answer_of(roots, target, quantity, bracket, ends) -> Inversion:
     """One push's roots, or what its measured value breaks."""
     if any(abs(slope * mu_s) <= FLAT * target for mu_s, slope in roots):
         what = "F_p" if quantity == "peak_force" else "d"

@@ -196,6 +196,7 @@ def _edge(
                 right=sizes(min(max(6, round(scale / stretch.dt)), n), n, 1.6),
                 least=degree + 6,
                 of=degree + 1,
+                nested=True,
             )
             if fit is not None:
                 width = fit.se(degree + 1) if fit.passed else fit.reduced_chi2

@@ -59,7 +59,7 @@ class SimulatedCard:
         self.words_per_newton, self.range = sensitivity / VOLTS_PER_WORD, range
         self.resolution = resolution
         self.noise_force, self.noise_position = noise_force, noise_position
-        self.fifos = {"force": _Fifo(self, np.int64), "position": _Fifo(self, np.uint64)}
+        self.fifos = {"force": _Fifo(self, np.int16), "position": _Fifo(self, np.uint64)}
         self.state: dict[str, int] = {}
         self.registers = {name: _Register(self, name) for name in AT_RESET}
         self.pushes = 0
@@ -80,7 +80,7 @@ class SimulatedCard:
             fifo.stop()
         self.state |= AT_RESET
         self._clear()
-        self._words = np.zeros(0, np.int64), np.zeros(0, np.uint64)
+        self._words = np.zeros(0, np.int16), np.zeros(0, np.uint64)
 
     def begin(self) -> None:
         """Start the push that the registers say."""
@@ -100,7 +100,7 @@ class SimulatedCard:
         quiet = state["quiet_samples"]
         n = quiet + int(np.ceil(end * self.rate)) + state["rest_samples"]
         random = np.random.default_rng([self.seed, self.pushes])
-        words, counts = np.empty(n, np.int64), np.empty(n, np.int64)
+        words, counts = np.empty(n, np.int16), np.empty(n, np.int64)
         for lo in range(0, n, _BLOCK):
             part = slice(lo, min(lo + _BLOCK, n))
             # Half a sample off, so that none falls on the force's jump at t = 0.
@@ -188,6 +188,13 @@ class _Fifo:
         self._started, self.held = False, self.held[:0]
 
     def read(self, number_of_elements: int, timeout_ms: int = 0) -> ReadValues:
+        data = np.empty(number_of_elements, self.held.dtype)
+        remaining = self.read_into(data, timeout_ms)
+        return ReadValues(data.tolist(), remaining)
+
+    def read_into(self, buffer: NDArray, timeout_ms: int = 0) -> int:
+        """Fill the buffer; how many elements remain. Waits as `read` does."""
+        number_of_elements = len(buffer)
         self._started = True
         waited, limit = 0.0, timeout_ms * 1e-3
         if number_of_elements == 0:
@@ -202,5 +209,5 @@ class _Fifo:
             step = min(self._card.look, limit - waited)
             self._card.wait(step)
             waited += step
-        data, self.held = self.held[:number_of_elements], self.held[number_of_elements:]
-        return ReadValues(data.tolist(), len(self.held))
+        buffer[:], self.held = self.held[:number_of_elements], self.held[number_of_elements:]
+        return len(self.held)

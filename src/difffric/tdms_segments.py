@@ -31,6 +31,10 @@ class DamagedError(Exception):
     """What of a segment does not hold together, in words."""
 
 
+class _CutOffError(DamagedError):
+    """The file ends within a segment."""
+
+
 @dataclass(frozen=True)
 class Piece:
     """Samples in a segment: `chunks` times `values` in a row, `stride` bytes from one to the
@@ -179,11 +183,19 @@ def read_contents(file: IO[bytes], size: int) -> Contents:
         try:
             position, active = _segment(file, size, position, contents, layouts, active, described)
         except DamagedError as damage:
+            if isinstance(damage, _CutOffError) and _says_incomplete(contents, before):
+                break  # what was written whole is all there
             contents.damage = f"the segment at byte {position}: {damage}"
             # Where it does not even say whose samples it holds, they may be the last group's.
             contents.hurt = _groups(described) or before
             break
     return contents
+
+
+def _says_incomplete(contents: Contents, last: list[str]) -> bool:
+    """Whether the group that was written last is one whose recording never ended: a kill may have
+    come in the middle of a segment."""
+    return any(contents.groups[name].properties.get("complete") is False for name in last)
 
 
 def _segment(file, size, position, contents, layouts, active, described):
@@ -192,7 +204,7 @@ def _segment(file, size, position, contents, layouts, active, described):
     if lead[:4] != b"TDSm"[: len(lead)]:
         raise DamagedError(f"expected it to begin with TDSm, got {lead[:4]!r}")
     if len(lead) < LEAD_IN:
-        raise DamagedError(f"cut off, as the file ends at byte {size}")
+        raise _CutOffError(f"cut off, as the file ends at byte {size}")
     toc = struct.unpack("<L", lead[4:8])[0]
     order = ">" if toc & toc_properties["kTocBigEndian"] else "<"
     version, length, metadata = struct.unpack(order + "LQQ", lead[8:])
@@ -215,7 +227,7 @@ def _segment(file, size, position, contents, layouts, active, described):
             for one in _objects(taken, layouts):
                 described.append(one)
         except DamagedError as damage:
-            raise DamagedError(missing or str(damage)) from None
+            raise (_CutOffError(missing) if missing else damage) from None
         if not missing and taken.data[taken.at :].strip(b"\0"):
             raise DamagedError("its description ends before the place it has")
         active = {} if toc & toc_properties["kTocNewObjList"] else dict(active)
@@ -226,7 +238,7 @@ def _segment(file, size, position, contents, layouts, active, described):
     else:
         described += active.values()
     if missing:
-        raise DamagedError(missing)
+        raise _CutOffError(missing)
     samples = list(_pieces(active.values(), toc, start + metadata, end))
     for one in described if toc & toc_properties["kTocMetaData"] else []:
         known = contents.at(one.path)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -12,7 +14,7 @@ import numpy as np
 from nptdms import ChannelObject, GroupObject, RootObject, TdmsWriter
 from numpy.typing import ArrayLike
 
-from difffric.errors import InputError
+from difffric.errors import DiskError, InputError
 from difffric.measured import OF_RECORDING, told
 from difffric.recordings import Channel, Recording, Recordings
 from difffric.tdms_file import CHANNELS
@@ -59,28 +61,35 @@ class Waveform:
 
 
 class RecordingWriter:
-    """A `.tdms` file that grows while pushes are recorded.
+    """A `.tdms` file that grows while pushes are recorded, with its `.tdms_index`.
 
         with RecordingWriter("pushes.tdms") as writer:
             writer.begin("push_01", {"force": Waveform("N", 5e-6, slope=0.0137)},
                          velocity_mm_min=3000.0)
             writer.append(force=words)
+            writer.end()
 
     Each `append` is a segment, handed to the system before the next, with the number of samples
-    so far: what was appended is readable wherever the program ends. Raises `InputError` where the
-    file exists (unless `replace`) or cannot be written, and for what the format cannot say.
+    so far: what was appended is readable wherever the program ends. A push whose `complete` is
+    false was cut there. The index hears of a segment when the file has it, so that it can lack
+    the last one and never has one too many.
+
+    Raises `InputError` where the file exists (unless `replace`) or cannot be made, and for what
+    the format cannot say; `DiskError` where the disk takes no more. What it took of that segment
+    is taken back.
     """
 
     def __init__(self, path: str | os.PathLike, *, replace: bool = False):
         self._path = path
         try:
-            file: IO[bytes] = open(path, "wb" if replace else "xb")  # noqa: SIM115
+            self._file = _Growing(path, replace)
+            _forget_index(path)
+            self._index = _Growing(f"{path}_index", replace=True)
         except FileExistsError:
             raise InputError(f"{path}: exists, and recordings are not overwritten") from None
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror}") from None
-        _forget_index(path)
-        self._file, self._segments = file, _Segments(file, path)
+        self._segments = _Segments(self._file.piece, path, self._index.piece)
 
     def __enter__(self) -> RecordingWriter:
         return self
@@ -91,19 +100,63 @@ class RecordingWriter:
     def begin(self, name: str, channels: Mapping[str, Waveform], **properties) -> None:
         """Begin a push: its channels (`force`, `position`, `pusher`), and its properties as the
         file names them (`velocity_mm_min`, `mass_kg`, ...); None: not known."""
-        self._segments.begin(name, channels, properties)
-        self._file.flush()
+        self._segments.begin(name, channels, properties, {"complete": False})
+        self._hand_over()
 
     def append(self, **samples: ArrayLike) -> None:
         """More samples of channels of the push that was begun last; of one or of several."""
-        try:
-            self._segments.append(samples)
-            self._file.flush()
-        except OSError as error:
-            raise InputError(f"{self._path}: cannot be written: {error.strerror}") from None
+        self._segments.append(samples)
+        self._hand_over()
+
+    def end(self, lost: int = 0) -> None:
+        """The push that was begun last is complete, but for `lost` samples after its last."""
+        self._segments.say({"complete": True, "lost_samples": lost})
+        self._hand_over()
 
     def close(self) -> None:
         """Close the file; a second time does nothing."""
+        for file in (self._file, self._index):
+            file.close()
+
+    def discard(self) -> None:
+        """Close the file and remove it."""
+        self.close()
+        Path(self._path).unlink()
+        _forget_index(self._path)
+
+    def _hand_over(self) -> None:
+        try:
+            self._file.hand_over()
+            self._index.hand_over()
+        except OSError as error:
+            raise DiskError(f"{self._path}: cannot be written: {error.strerror}") from None
+
+
+class _Growing:
+    """A file that takes pieces, each whole or not at all."""
+
+    def __init__(self, path: str | os.PathLike, replace: bool):
+        self._file = open(path, "wb" if replace else "xb", buffering=0)  # noqa: SIM115
+        self.piece = io.BytesIO()
+        """what goes into it next"""
+        self._size = 0
+
+    def hand_over(self) -> None:
+        """The piece into the file. Raises `OSError`, with the file as it was."""
+        with self.piece.getbuffer() as piece:
+            done = 0
+            try:
+                while done < len(piece):  # a full disk takes a part, and then raises
+                    done += self._file.write(piece[done:])
+            except OSError:
+                with suppress(OSError):
+                    self._file.truncate(self._size)
+                raise
+            self._size += done
+        self.piece.seek(0)
+        self.piece.truncate()
+
+    def close(self) -> None:
         self._file.close()
 
 
@@ -162,14 +215,21 @@ def _properties(push: Recording) -> dict[str, Any]:
 class _Segments:
     """Pushes as segments of an open file."""
 
-    def __init__(self, file: IO[bytes], path):
-        self._writer, self._path = TdmsWriter(file), path
+    def __init__(self, file: IO[bytes], path, index: IO[bytes] | None = None):
+        beside: Any = index or False
+        self._writer, self._path = TdmsWriter(file, index_file=beside), path
         self._names: set[str] = set()
         self._name = ""
         self._channels: dict[str, Waveform] = {}
         self._n: dict[str, int] = {}
 
-    def begin(self, name: str, channels: Mapping[str, Waveform], properties: Mapping) -> None:
+    def begin(
+        self,
+        name: str,
+        channels: Mapping[str, Waveform],
+        properties: Mapping,
+        marks: Mapping | None = None,
+    ) -> None:
         where, known = f"{self._path}: group {name!r}", {q.key: q for q in OF_RECORDING}
         problems = [f"{where}: written already"] if name in self._names else []
         problems += [f"{where}: unknown property {key}" for key in properties.keys() - known.keys()]
@@ -187,10 +247,15 @@ class _Segments:
         if problems:
             raise InputError(told(problems))
         said = {key: value for key, value in properties.items() if value is not None}
+        said |= marks or {}
         root = [] if self._names else [RootObject({"description": "push recordings"})]
         self._writer.write_segment([*root, GroupObject(name, said)])
         self._names.add(name)
         self._name, self._channels, self._n = name, dict(channels), dict.fromkeys(channels, 0)
+
+    def say(self, marks: Mapping) -> None:
+        """More properties of the push that was begun last."""
+        self._writer.write_segment([GroupObject(self._name, dict(marks))])
 
     def append(self, samples: Mapping[str, ArrayLike]) -> None:
         objects = []
