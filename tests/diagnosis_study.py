@@ -136,7 +136,8 @@ def _exponent(case: cases.Case) -> float:
 
 def true_model(found, case: cases.Case) -> dict | None:
     """The error on held-out pushes of the model that made the data, fitted from the truth, and by
-    how much it beats the diagnosis's own in -2 log likelihood. None: not one of the catalogue's."""
+    how much it beats the diagnosis's own in -2 log likelihood. None: not one of the catalogue's,
+    or not to be followed."""
     from difffric import ensemble as en
     from difffric import refits
     from difffric.candidates import numbers_of
@@ -164,6 +165,9 @@ def true_model(found, case: cases.Case) -> dict | None:
         plain, extra=(extra,), c=c, mu=mu, own=own[None] - mu[:, task.condition],
         gram=None, residual=None, damping=None,
     )  # fmt: skip
+    at = en.evaluated(task, at)
+    if (en.penalised(task, at) >= en.REJECTED).any():  # bristles too stiff to be followed
+        return None
     at = refits.refitted(task, at, 30)
     folds = folds_of(np.asarray(task.model.pushes.velocity), False)
     squares = refits.held_out(task, replace(at, spread=base.spread), folds).squares
