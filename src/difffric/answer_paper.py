@@ -81,7 +81,7 @@ def _diagnosis_text(paper: Paper) -> tuple[str, ...]:
         "has to be estimated with the rest do not tell what.",
         f"In question: {', '.join(asked) or 'nothing of the catalogue'}. They lie within a factor "
         "of 20 of each other in likelihood, what their numbers would buy by chance taken off. "
-        f"Looked at and explaining less: {', '.join(out)}.",
+        f"Looked at and explaining less: {', '.join(out) or 'all others of the catalogue'}.",
         f"Error on held-out speeds, in units of the spread: {g.before:.2f} with the plain model, "
         f"{g.after:.2f} with the first of them.",
         "What the data cannot say: the stroke is not printed, and decides d at low speed; one "
