@@ -29,18 +29,13 @@ from difffric.tdms_file import read_recordings
 from fpga.emulator.emulator import (
     DESCRIPTION,
     RESOURCE,
-    NoCompilerError,
     build,
     compiler,
     emulated_card,
 )
+from tests.compiler import needs_compiler
 
-try:
-    compiler()
-    WHY_NOT = None
-except NoCompilerError as error:
-    WHY_NOT = str(error)
-pytestmark = pytest.mark.skipif(WHY_NOT is not None, reason=WHY_NOT or "")
+pytestmark = needs_compiler
 
 status = vars(nifpga.status)  # the classes that nifpga makes when it is imported
 RATE = 200_000

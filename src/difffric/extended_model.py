@@ -255,7 +255,7 @@ class ExtendedModel:
         names = self.coordinates.names
         directions = np.broadcast_to(directions, (len(c), *np.shape(directions)[-2:]))
         bent = c[:, names.index(BRISTLES)] > 0 if BRISTLES in names else np.zeros(len(c), bool)
-        known = [k for k, name in enumerate(names) if not name.startswith(PRESLIDING)]
+        known = self.coordinates.indices(self._unbent.coordinates.names)
         parts = []
         for model, at, own in ((self._unbent, ~bent, known), (self._bent, bent, slice(None))):
             if at.any():

@@ -52,6 +52,6 @@ def extended_setup(setup: Setup, rig: Rig, task: Task, fits: Fits) -> Setup:
     errors = coordinates.errors(fits.c[0], names, columns, C)
     for name, error in zip(names, errors, strict=True):
         known = extras.get(name, Extras())
-        extras[name] = Extras(error or None, True, known.lower, known.upper)
+        extras[name] = Extras(error if error > 0 else None, True, known.lower, known.upper)
     scatter = float(fits.scatter[0]) if task.mu_free else setup.mu_s_scatter
     return Setup(rig, scatter, extras)

@@ -268,6 +268,7 @@ class Presliding(FrictionEffect):
     """
 
     compliance: Number = 1e-7
+    """1 / sigma_0 [m/N]"""
     sigma_1: Number = 0.0
     affine: ClassVar[bool] = False  # type: ignore[assignment]
 

@@ -83,12 +83,16 @@ class RecordingWriter:
         self._path = path
         try:
             self._file = _Growing(path, replace)
-            _forget_index(path)
-            self._index = _Growing(f"{path}_index", replace=True)
         except FileExistsError:
             raise InputError(f"{path}: exists, and recordings are not overwritten") from None
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+        try:
+            self._index = _Growing(f"{path}_index", replace=True)
+        except OSError as error:
+            self._file.close()
+            Path(path).unlink()  # empty, and in the way of the next try
+            raise InputError(f"{path}_index: cannot be written: {error.strerror}") from None
         self._segments = _Segments(self._file.piece, path, self._index.piece)
 
     def __enter__(self) -> RecordingWriter:

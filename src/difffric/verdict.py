@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import Any
 
 from difffric.certificates import Certificate
@@ -28,7 +29,7 @@ class Cause:
     """among the effects of the catalogue, one more being there"""
     confusable_with: tuple[str, ...]
     parameters: dict[str, tuple[float, float]]
-    """key -> (value, standard error) [SI]"""
+    """key -> (value, standard error) [SI]; NaN: these data do not determine the error"""
     chi2_drop: float
     chi2_drop_predicted: float
     """by the score test at the null, without a refit"""
@@ -153,7 +154,8 @@ class Diagnosis:
                 f"{cause.probability:.2f}" + (f", confusable with {alike}" if alike else "")
             )
             for name, (value, error) in cause.parameters.items():
-                lines.append(f"        {name} = {value:.5g} +/- {error:.2g}")
+                sure = f"+/- {error:.2g}" if isfinite(error) else "(error not determined)"
+                lines.append(f"        {name} = {value:.5g} {sure}")
         lines += [f"    negligible: {cause.id}" for cause in self.negligible]
         g = self.gain
         lines.append(
