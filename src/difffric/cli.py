@@ -4,35 +4,29 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Mapping
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-app = typer.Typer(
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    help="Differentiable identification of sliding friction.",
+from difffric import cli_use as cli_use  # its commands are the app's too
+from difffric.cli_parts import (
+    Data,
+    DataMass,
+    Out,
+    Quiet,
+    Setup,
+    SetupOption,
+    SkipBad,
+    app,
+    check_writable,
+    finish,
+    positive,
+    progress,
+    rig_of,
 )
 
 UsageError: Any = typer.BadParameter.__base__
-Setup = Annotated[Path, typer.Argument(help="the rig, a setup.toml", show_default=False)]
-Data = Annotated[Path, typer.Argument(help="measured pushes, .csv or .tdms", show_default=False)]
-SetupOption = Annotated[
-    Path, typer.Option("--setup", help="the rig, a setup.toml", show_default=False)
-]
-DataMass = Annotated[
-    bool, typer.Option("--use-data-mass", help="masses may contradict the set-up's")
-]
-SkipBad = Annotated[bool, typer.Option("--skip-bad", help="leave out what cannot be used")]
-Out = Annotated[Path | None, typer.Option(help="folder for result.json, report.html, figures")]
-Quiet = Annotated[bool, typer.Option("--quiet", help="no progress on standard error")]
-
-_WIDEST = 200
-"""Characters of a printed table."""
 
 
 def main() -> None:
@@ -75,87 +69,6 @@ def _prepare_jax() -> None:
     os.environ.setdefault("JAX_CPU_ENABLE_ASYNC_DISPATCH", "0")
 
 
-def _positive(name: str, value: float | None) -> float | None:
-    """An option's value, which must be a number > 0."""
-    from difffric.errors import InputError
-
-    if value is not None and not 0 < value < float("inf"):
-        raise InputError(f"{name}: expected a number > 0, got {value:g}")
-    return value
-
-
-def _rig(setup: Path, mu_s=None, mass_kg=None, stroke_mm=None):
-    """The set-up's rig with what the command line overrides."""
-    from difffric import parameters
-    from difffric.setup_file import load_setup
-    from difffric.units import from_mm
-
-    rig = load_setup(setup)
-    given = {"mu_s": _positive("--mu-s", mu_s), "mass_kg": _positive("--mass-kg", mass_kg)}
-    rig = parameters.with_values(rig, {k: v for k, v in given.items() if v is not None})
-    if _positive("--stroke-mm", stroke_mm) is not None:
-        rig = parameters.with_stroke(rig, from_mm(stroke_mm))
-    return rig
-
-
-@contextmanager
-def _progress(quiet: bool):
-    """Yields `tell(what, share done)`, shown on standard error."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
-        task = bar.add_task("starting", total=1.0)
-        yield lambda what, share: bar.update(task, description=what, completed=share)
-
-
-def _finish(report, answer, out: Path | None, files: Mapping[str, bytes] | None = None) -> None:
-    """Print the report's tables for a person; write the folder where one was asked for, with
-    other files if there are any."""
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    console = Console(highlight=False, markup=False)
-    own_width = console.width
-    for line in report.summary:
-        console.print(line)
-    for section in report.sections:
-        for table in section.tables:
-            shown = Table(
-                title=table.caption, title_justify="left", title_style="bold", box=SIMPLE_HEAD,
-                padding=0, pad_edge=False, collapse_padding=True,
-            )  # fmt: skip
-            for i, column in enumerate(table.columns):
-                shown.add_column(
-                    Text(column), justify="left" if i == 0 else "right", overflow="fold"
-                )
-            for row in table.rows:
-                shown.add_row(*(Text(cell) for cell in row))
-            # Numbers are not to be broken where a terminal is narrow: it wraps whole lines.
-            needed = console.measure(shown, options=console.options.update(width=_WIDEST)).maximum
-            console.width = max(own_width, needed)
-            console.print(shown)
-    console.width = own_width
-    if out is not None:
-        from difffric.report import write
-
-        write(out, answer, report, files)
-        names = ", ".join(["result.json", "report.html", *(files or {}), "figures"])
-        console.print(f"written to {out}: {names}")
-
-
-def _check_out(out: Path | None) -> None:
-    """Say that a folder cannot be written before the work, not after it; nothing is made yet."""
-    if out is not None:
-        from difffric.report import writable
-
-        writable(out)
-
-
 @app.command()
 def simulate(
     setup: Setup,
@@ -167,17 +80,17 @@ def simulate(
     quiet: Quiet = False,
 ) -> None:
     """One push: F_p, d, regime, and their derivatives in every parameter."""
-    _check_out(out)
-    rig = _rig(setup, mu_s, mass_kg, stroke_mm)
-    _positive("--velocity-mm-min", velocity_mm_min)
+    check_writable(out)
+    rig = rig_of(setup, mu_s, mass_kg, stroke_mm)
+    positive("--velocity-mm-min", velocity_mm_min)
     from difffric.answer_simulate import simulate_answer, simulate_pictures, simulate_report
     from difffric.units import from_mm_min
 
-    with _progress(quiet) as tell:
+    with progress(quiet) as tell:
         tell("simulating", 0.0)
         answer = simulate_answer(rig, from_mm_min(velocity_mm_min))
     pictures = () if out is None else simulate_pictures(rig, from_mm_min(velocity_mm_min))
-    _finish(simulate_report(answer, velocity_mm_min, rig, pictures), answer, out)
+    finish(simulate_report(answer, velocity_mm_min, rig, pictures), answer, out)
 
 
 @app.command()
@@ -199,11 +112,11 @@ def acquire(
     quiet: Quiet = False,
 ) -> None:
     """Record pushes into pushes.tdms, in --out or here, and identify them as they come."""
-    _check_out(out)
+    check_writable(out)
     for v in velocity_mm_min or ():
-        _positive("--velocity-mm-min", v)
-    _positive("--rate-hz", rate_hz)
-    _positive("--stroke-mm", stroke_mm)
+        positive("--velocity-mm-min", v)
+    positive("--rate-hz", rate_hz)
+    positive("--stroke-mm", stroke_mm)
     from difffric import answer_acquire as answers
     from difffric.card import open_card
     from difffric.errors import InputError
@@ -230,23 +143,23 @@ def acquire(
     note = answers.NO_STROKE if stroke is None else None
     seeded = None if simulate is None else seed
     answer = answers.acquire_answer(run, truth=truth, seed=seeded, stroke=note)
-    _finish(answers.acquire_report(answer, run, pictures=out is not None), answer, out)
+    finish(answers.acquire_report(answer, run, pictures=out is not None), answer, out)
     answers.raise_for_lost(run)
 
 
 @app.command()
 def family(setup: Setup, out: Out = None, quiet: Quiet = False) -> None:
     """The curve families over speed and mu_s, the fits (3) and (5), their inverses (4), (6)."""
-    _check_out(out)
-    rig = _rig(setup)
+    check_writable(out)
+    rig = rig_of(setup)
     from difffric.answer_family import family_answer, family_report
     from difffric.families import family as curves
 
-    with _progress(quiet) as tell:
+    with progress(quiet) as tell:
         tell("simulating 494 pushes", 0.0)
         grid = curves(rig)
     answer = family_answer(grid)
-    _finish(family_report(answer, grid, rig), answer, out)
+    finish(family_report(answer, grid, rig), answer, out)
 
 
 @app.command()
@@ -284,7 +197,7 @@ def fit(
     quiet: Quiet = False,
 ) -> None:
     """Calibrate a part or rig on measured pushes: parameters, errors, what stays open."""
-    _check_out(out)
+    check_writable(out)
     from difffric import answer_fit as answers
     from difffric.calibration import fit as calibrate
     from difffric.data_file import load
@@ -299,7 +212,7 @@ def fit(
             f"--robust: {data}: expected a table; recordings are fitted sample by sample"
         )
     chosen = ["mu_s"] if per_condition is None else [x for x in per_condition if x != "none"]
-    with _progress(quiet) as tell:
+    with progress(quiet) as tell:
         found = calibrate(
             rig, loaded, free=free or None, per_condition=chosen, priors=prior,
             free_start=free_start, robust=robust, several_starts=not one_start, tell=tell,
@@ -310,7 +223,7 @@ def fit(
         tell("drawing", 0.99)
         report = answers.fit_report(answer, pictures=out is not None)
         files = None if out is None else {"setup.toml": answers.setup_file_of(found)}
-    _finish(report, answer.as_dict(), out, files)
+    finish(report, answer.as_dict(), out, files)
 
 
 @app.command()
@@ -323,17 +236,17 @@ def identify(
     quiet: Quiet = False,
 ) -> None:
     """mu_s of each push from force, distance, (7), the optimal combination, the recording."""
-    _check_out(out)
+    check_writable(out)
     from difffric import answer_identify as answers
     from difffric.data_file import load
     from difffric.estimators import identify as estimate
     from difffric.setup_file import read_setup
 
     rig, loaded = read_setup(setup), load(data, skip_bad=skip_bad)
-    with _progress(quiet) as tell:
+    with progress(quiet) as tell:
         found = estimate(rig, loaded, use_data_mass=use_data_mass, skip_bad=skip_bad, tell=tell)
     answer = answers.identify_answer(found, rig.rig)
-    _finish(answers.identify_report(found, answer, loaded, out is not None), answer, out)
+    finish(answers.identify_report(found, answer, loaded, out is not None), answer, out)
 
 
 @app.command()
@@ -352,7 +265,7 @@ def diagnose(
     quiet: Quiet = False,
 ) -> None:
     """What the simulation gets wrong, the cause, the extended model and what it gains."""
-    _check_out(out)
+    check_writable(out)
     from difffric import answer_diagnose as answers
     from difffric.answer_fit import check_out
     from difffric.data_file import load
@@ -364,7 +277,7 @@ def diagnose(
         raise InputError(f"--negligible: expected a share from 0 to 1, got {negligible:g}")
     check_out(out, setup)
     rig, loaded = read_setup(setup), load(data, skip_bad=skip_bad)
-    with _progress(quiet) as tell:
+    with progress(quiet) as tell:
         found = look(
             rig, loaded, negligible=negligible, held_out=held_out, use_data_mass=use_data_mass,
             skip_bad=skip_bad, tell=tell,
@@ -372,19 +285,19 @@ def diagnose(
         tell("drawing", 0.99)
         report = answers.diagnose_report(found, pictures=out is not None)
         files = None if out is None else {"setup.toml": answers.setup_file_of(found)}
-    _finish(report, found.as_dict(), out, files)
+    finish(report, found.as_dict(), out, files)
 
 
 @app.command()
 def paper(out: Out = None, quiet: Quiet = False) -> None:
     """The paper's Tables I-V and Figures II.3-II.6, beside the differentiable model's answers."""
-    _check_out(out)
+    check_writable(out)
     from difffric.answer_paper import paper_report
     from difffric.paper import study
 
-    with _progress(quiet) as tell:
+    with progress(quiet) as tell:
         found = study(tell)
-    _finish(paper_report(found), found.as_dict(), out)
+    finish(paper_report(found), found.as_dict(), out)
 
 
 if __name__ == "__main__":
