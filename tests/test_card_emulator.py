@@ -29,6 +29,7 @@ from difffric.tdms_file import read_recordings
 from fpga.emulator.emulator import (
     DESCRIPTION,
     RESOURCE,
+    NoCompilerError,
     build,
     compiler,
     emulated_card,

@@ -33,6 +33,11 @@ class Observables(NamedTuple):
     contacts: Array
     kind: Array
     """a number that changes wherever a derivative may jump"""
+    displacement: Array
+    """from the part's start to where it rests for good [m], as the rig moves it and not as the
+    probe reads it; NaN where it does so only for t to infinity, or could not be followed"""
+    duration: Array
+    """until tip and part stand for good [s]; NaN likewise"""
 
 
 def _first_of(cases, otherwise) -> Any:
@@ -94,6 +99,7 @@ def marched(marcher: Marcher, m: March) -> Observables:
         x = x - m.s.q - rig.slope / marcher.motion.bristles.stiffness
     if m.sensed and probe.late:
         x_lost = jnp.where(m.sensed.crossed, m.sensed.x_lost, x_lost)
+    no_end = too_many | lost_track | for_ever | m.endless
     return Observables(
         peak_force=jnp.where(too_many | lost_track, jnp.nan, sensor.read(peak)),
         sliding_distance=jnp.where(reason != sim.OK, jnp.nan, probe.read(x) - probe.read(x_lost)),
@@ -102,6 +108,8 @@ def marched(marcher: Marcher, m: March) -> Observables:
         stuck_first=m.stuck_first,
         contacts=m.contacts,
         kind=_kind(regime, m.stuck_first, m.contacts, m.sticks, m.peak_contact),
+        displacement=jnp.where(no_end, jnp.nan, x),
+        duration=jnp.where(no_end, jnp.nan, m.s.t),
     )
 
 
@@ -142,6 +150,8 @@ def observables(push: sim.Push, state: sim.State) -> Observables:
     counts = state.contacts, state.sticks, state.peak_contact
     peak = push.rig.force_sensor.read(state.peak)
     slid = push.rig.probe.read(state.slid)
+    no_end = lost_track | too_many | too_long | state.endless
+    last = state.segment
     return Observables(
         peak_force=jnp.where(lost_track | too_many | too_long, jnp.nan, peak),
         sliding_distance=jnp.where(reason != sim.OK, jnp.nan, slid),
@@ -150,4 +160,6 @@ def observables(push: sim.Push, state: sim.State) -> Observables:
         stuck_first=state.stuck_first,
         contacts=state.contacts,
         kind=_kind(regime, state.stuck_first, *counts),
+        displacement=jnp.where(no_end, jnp.nan, last.y - last.z),
+        duration=jnp.where(no_end, jnp.nan, last.t),
     )

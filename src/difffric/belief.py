@@ -1,0 +1,109 @@
+"""What is known of mu_s before the next push, from the pushes before it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from difffric.errors import InputError
+
+_LOG = np.linspace(np.log(0.01), np.log(2.0), 2048)
+_STEP = _LOG[1] - _LOG[0]
+
+
+@dataclass(frozen=True)
+class Belief:
+    """A probability density of the mean of mu_s, on a grid of its logarithm.
+
+    A push has a mu_s of its own about that mean (`scatter`, its relative standard deviation), and
+    from push to push the mean wanders (`drift`, likewise). This is Bayes' rule for a local level
+    with noise, in the logarithm: what Kalman's filter does, for densities that are not normal.
+    """
+
+    weight: NDArray
+    """(2048,) sums to one"""
+    scatter: float
+    drift: float = 0.0
+
+    @classmethod
+    def uniform(cls, lower: float, upper: float, scatter: float, drift: float = 0.0) -> Belief:
+        """mu_s somewhere between two values, as likely here as there."""
+        if not 0.01 <= lower < upper <= 2.0:
+            raise InputError(
+                f"range of mu_s: expected 0.01 <= lower < upper <= 2, got {lower:g} and {upper:g}"
+            )
+        edges = np.exp(np.append(_LOG - _STEP / 2, _LOG[-1] + _STEP / 2))
+        inside = np.diff(np.clip(edges, lower, upper))  # its share of a step, in mu_s
+        return cls(inside / inside.sum(), scatter, drift)
+
+    @classmethod
+    def normal(cls, mean: float, error: float, scatter: float, drift: float = 0.0) -> Belief:
+        """A mean that is known with a relative standard error."""
+        return cls(_normal(np.log(mean), error), scatter, drift)
+
+    @property
+    def next_push(self) -> NDArray:
+        """(2048,) the probability of the next push's own mu_s, on the grid `mu_s`."""
+        return _blurred(self.weight, np.hypot(self.scatter, self.drift))
+
+    @property
+    def mu_s(self) -> NDArray:
+        """(2048,) the grid."""
+        return np.exp(_LOG)
+
+    def quantiles(self, share: NDArray) -> NDArray:
+        """mu_s of the next push below which it lies with the probability `share`."""
+        return np.exp(_quantiles(self.next_push, share))
+
+    @property
+    def mean(self) -> tuple[float, float]:
+        """(the mean's median, its relative standard deviation)."""
+        return float(np.exp(_quantiles(self.weight, np.array([0.5]))[0])), _deviation(self.weight)
+
+    def seen(self, mu_s: float, error: float) -> Belief:
+        """After a push whose own mu_s was found, with a relative standard error."""
+        wandered = _blurred(self.weight, self.drift)
+        found = wandered * _normal(np.log(mu_s), np.hypot(error, self.scatter))
+        if not found.sum() > 0:  # nothing that was held possible: begin anew from the push
+            found = _normal(np.log(mu_s), np.hypot(error, self.scatter))
+        return replace(self, weight=found / found.sum())
+
+    def expected(self) -> Belief:
+        """As it is likely to be after one more push, about the same median."""
+        _, known = self.mean
+        told = max(self.scatter, _STEP)
+        spread = np.hypot(known * told / np.hypot(known, told), self.drift)
+        return replace(self, weight=_normal(_quantiles(self.weight, np.array([0.5]))[0], spread))
+
+
+def _normal(centre: float, deviation: float) -> NDArray:
+    """A normal density on the grid; what is narrower than a step fills one."""
+    at = (np.append(_LOG, _LOG[-1] + _STEP) - _STEP / 2 - centre) / max(deviation, 0.5 * _STEP)
+    weight = np.diff(ndtr(at))
+    return weight / weight.sum() if weight.sum() > 0 else weight
+
+
+def _blurred(weight: NDArray, deviation: float) -> NDArray:
+    if deviation <= 0:
+        return weight
+    half = min(int(np.ceil(6 * deviation / _STEP)), len(_LOG) // 2 - 1)
+    edges = (np.arange(-half, half + 2) - 0.5) * _STEP
+    kernel = np.diff(ndtr(edges / deviation))
+    out = np.convolve(weight, kernel, mode="same")
+    return out / out.sum()
+
+
+def _quantiles(weight: NDArray, share: NDArray) -> NDArray:
+    below = np.concatenate([[0.0], np.cumsum(weight)])
+    below /= below[-1]
+    edges = np.append(_LOG, _LOG[-1] + _STEP) - _STEP / 2
+    kept = np.concatenate([[True], np.diff(below) > 0])
+    return np.interp(share, below[kept], edges[kept])
+
+
+def _deviation(weight: NDArray) -> float:
+    mean = weight @ _LOG
+    return float(np.sqrt(weight @ (_LOG - mean) ** 2))

@@ -1,0 +1,227 @@
+"""The closed loop: measure the ring, plan a push, push, identify mu_s, until it is centred."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from difffric.belief import Belief
+from difffric.landing import pushed
+from difffric.machine import Machine, Readings
+from difffric.plan import SURE, Known, Plan, plan
+
+MEASURING = 2.0
+"""[s] for a rotation of the ring"""
+_MOST = 12
+_PROBE_SCALE = 1e-4
+"""Relative standard error of the probe's scale: a digital linear probe's."""
+_NODES = 128
+
+
+@dataclass(frozen=True)
+class Pushed:
+    """A push of the loop."""
+
+    plan: Plan
+    readings: Readings
+    mu_s: float | None
+    """identified from this push; None where its readings say nothing"""
+    mu_s_error: float | None
+    """relative standard error"""
+    known_mu_s: tuple[float, float]
+    """the mean and its relative standard deviation, after it"""
+    before: NDArray
+    """(2,) the offset as it was estimated [m]"""
+    after: NDArray
+
+
+@dataclass(frozen=True)
+class Centering:
+    """How a ring was centred."""
+
+    offset: NDArray
+    """(2,) the last estimate [m]"""
+    deviation: float
+    """its standard deviation [m]"""
+    probability: float
+    """of the ring being within the tolerance"""
+    pushes: tuple[Pushed, ...]
+    events: tuple[tuple[str, float], ...]
+    """("measure" or "push", when it was over [s])"""
+    mu_s: Belief
+    reason: str | None = None
+    """why it ended without being centred"""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def time(self) -> float:
+        """[s]"""
+        return self.events[-1][1]
+
+    @property
+    def measurements(self) -> int:
+        """How often the ring was measured."""
+        return sum(what == "measure" for what, _ in self.events)
+
+
+@dataclass
+class _Loop:
+    """Where the loop stands."""
+
+    machine: Machine
+    offset: NDArray = field(default_factory=lambda: np.zeros(2))
+    covariance: NDArray = field(default_factory=lambda: np.zeros((2, 2)))
+    time: float = 0.0
+    events: list[tuple[str, float]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def measure(self) -> None:
+        ring = self.machine.measure()
+        found = np.array([ring.x, ring.y])
+        if self.events:
+            apart = found - self.offset
+            square = apart @ np.linalg.solve(self.covariance + ring.covariance, apart)
+            if square > 30.0:  # one in three million, by chance
+                self.notes.append(
+                    f"the ring was measured {1e6 * np.hypot(*apart):.1f} um from where the probe's "
+                    "displacements put it: its scale, or what moves beside the part, is not right"
+                )
+        self.offset, self.covariance = found, np.array(ring.covariance)
+        self._past("measure", MEASURING)
+
+    def push(self, velocity: float, stroke: float, handling: float) -> Readings:
+        direction = float(np.arctan2(self.offset[1], self.offset[0]))
+        readings = self.machine.push(velocity, stroke, direction)
+        along = np.array([np.cos(direction), np.sin(direction)])
+        self.offset = self.offset - readings.displacement * along
+        error = np.hypot(readings.displacement_se, _PROBE_SCALE * readings.displacement)
+        self.covariance = self.covariance + error**2 * np.outer(along, along)
+        self._past("push", readings.duration + handling)
+        return readings
+
+    def _past(self, what: str, seconds: float) -> None:
+        self.time += seconds
+        self.events.append((what, self.time))
+
+    @property
+    def distance(self) -> tuple[float, float]:
+        """(of the centre from the axis, its standard deviation along the push) [m]."""
+        e = float(np.hypot(*self.offset))
+        u = self.offset / e if e > 0 else np.array([1.0, 0.0])
+        return e, float(np.sqrt(u @ self.covariance @ u))
+
+    def inside(self, within: float) -> float:
+        """The probability that the centre is within the tolerance."""
+        e, s = self.distance
+        s = max(s, 1e-12)
+        return float(ndtr((within - e) / s) - ndtr((-within - e) / s))
+
+
+def centre(
+    machine: Machine,
+    known: Known,
+    *,
+    sure: float = SURE,
+    measure_each: bool = False,
+    verify: bool = False,
+    identify: Callable[[Known, Plan, Readings], Belief | None] | None = None,
+    most: int = _MOST,
+    tell: Callable[[Centering], None] | None = None,
+) -> Centering:
+    """Centre the ring: until it is within the tolerance with the probability `sure`.
+
+    The probe sees how far each push moved the part, so that the ring is measured anew only where
+    the offset is no longer known well enough. `measure_each`: after every push instead, and the
+    end is a measured offset within the tolerance; `verify`: at the end once more. `identify`
+    replaces how a push changes what is known of mu_s. At most so many pushes are made (`most`).
+    """
+    loop, pushes, reason = _Loop(machine), [], None
+    loop.measure()
+    measured = True  # nothing has been pushed since
+
+    def standing() -> Centering:
+        _, deviation = loop.distance
+        return Centering(
+            loop.offset, deviation, loop.inside(known.within), tuple(pushes), tuple(loop.events),
+            known.mu_s, reason, tuple(loop.notes),
+        )  # fmt: skip
+
+    while True:
+        e, deviation = loop.distance
+        if (measure_each and e <= known.within) or loop.inside(known.within) >= sure:
+            if not verify or measured:
+                break
+            loop.measure()
+            measured = True
+            continue
+        if len(pushes) == most:
+            reason = f"not centred after {most} pushes"
+            break
+        # A push cannot land more surely than it is known where it starts.
+        if not measured and 2 * ndtr(known.within / deviation) - 1 < 0.5 * (1 + sure):
+            loop.measure()
+            measured = True
+            continue
+        before, planned = loop.offset, plan(known, e, deviation, sure)
+        step = planned.next
+        readings = loop.push(step.velocity, step.stroke, known.handling)
+        measured = False
+        found = None
+        if identify is None:
+            found = identified(known, step.velocity, step.stroke, readings)
+            mu_s = known.mu_s if found is None else known.mu_s.seen(*found)
+        else:
+            mu_s = identify(known, planned, readings) or known.mu_s
+        known = replace(known, mu_s=mu_s)
+        value, error = found or (None, None)
+        pushes.append(Pushed(planned, readings, value, error, known.mu_s.mean, before, loop.offset))
+        if measure_each:
+            loop.measure()
+            measured = True
+        if tell is not None:
+            tell(standing())
+    return standing()
+
+
+def identified(known: Known, velocity, stroke, readings: Readings) -> tuple[float, float] | None:
+    """(mu_s of one push, its relative standard error) from its force and distance, with what was
+    known before it; None where they say nothing.
+
+    Where the part rests in contact there is no sliding distance: its displacement counts.
+    """
+    weight = known.mu_s.next_push
+    lo, hi = known.mu_s.quantiles(np.array([1e-7, 1 - 1e-7]))
+    nodes = np.geomspace(lo / 1.1, hi * 1.1, _NODES)
+    model = pushed(known.rig, velocity, stroke, nodes, known.integrator)
+    fine = np.linspace(np.log(nodes[0]), np.log(nodes[-1]), 40 * _NODES)
+    slid = np.isfinite(readings.sliding_distance)
+    pairs = [
+        (model.peak_force, readings.peak_force, readings.peak_force_se),
+        (model.sliding_distance, readings.sliding_distance, readings.sliding_distance_se)
+        if slid
+        else (model.displacement, readings.displacement, readings.displacement_se),
+    ]
+    square = np.zeros_like(fine)
+    for curve, value, error in pairs:
+        if not np.isfinite(value):
+            continue
+        at = np.interp(fine, np.log(nodes), np.nan_to_num(curve, nan=np.inf))
+        square = square + np.where(np.isfinite(at), ((at - value) / error) ** 2, 1e6)
+    prior = np.interp(fine, np.log(known.mu_s.mu_s), weight)
+    log = -0.5 * square + np.log(np.maximum(prior, 1e-300))
+    p = np.exp(log - log.max())
+    p /= p.sum()
+    mean = float(p @ fine)
+    error = float(np.sqrt(p @ (fine - mean) ** 2))
+    # What the push itself said, without what was known before: a normal quotient.
+    spread = np.sqrt(weight @ (np.log(known.mu_s.mu_s) - np.log(known.mu_s.mu_s) @ weight) ** 2)
+    if not np.isfinite(mean) or error >= 0.95 * spread:
+        return None
+    own = 1 / np.sqrt(1 / error**2 - 1 / spread**2) if spread > 0 else error
+    start = float(np.log(known.mu_s.mu_s) @ weight)
+    value = mean + (mean - start) * own**2 / spread**2
+    return float(np.exp(value)), max(float(own), float(fine[1] - fine[0]))
