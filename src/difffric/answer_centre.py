@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from difffric import figures_plan
 from difffric.answer_plan import step_answer
 from difffric.centering_runs import OURS, Run
-from difffric.plan import Known
+from difffric.planning import Known
 from difffric.report import Picture, Report, Section, Table, number
 from difffric.rivals import RIVALS
 from difffric.units import to_um
@@ -22,7 +23,7 @@ def centre_answer(found: Sequence[Run], known: Known, seed: int) -> dict:
         "within_m": known.within,
         "seed": seed,
         "ways": {way: _way(found, way, known) for way in dict.fromkeys(r.way for r in found)},
-        "calibration": calibration([r for r in found if r.way == OURS], known),
+        "calibration": calibration(*_pairs([r for r in found if r.way == OURS], known)),
         "runs": [_run(r, known) for r in found],
     }
 
@@ -75,10 +76,9 @@ def _way(found: Sequence[Run], way: str, known: Known) -> dict:
     }
 
 
-def calibration(found: Sequence[Run], known: Known) -> dict:
+def calibration(stated: NDArray, landed: NDArray) -> dict:
     """Stated probabilities of landing against how often the ring did: the slope of a straight
     line through the outcomes, its standard error, and the shares in ten bins."""
-    stated, landed = pairs(found, known)
     out: dict = {"pushes": len(stated), "slope": None, "slope_standard_error": None, "bins": []}
     if len(stated) > 10 and np.ptp(stated) > 0:
         A = np.stack([np.ones_like(stated), stated], axis=1)
@@ -96,7 +96,7 @@ def calibration(found: Sequence[Run], known: Known) -> dict:
     return out
 
 
-def pairs(found: Sequence[Run], known: Known):
+def _pairs(found: Sequence[Run], known: Known):
     """(the stated probability of each push, whether it landed)."""
     stated = [p.plan.next.probability for r in found for p in r.centering.pushes]
     landed = [inside for r in found for inside in r.within(known.within)]

@@ -9,7 +9,7 @@ import numpy as np
 
 from difffric import figures_plan, parameters
 from difffric.errors import InputError
-from difffric.plan import SCATTER, Known, Plan, Step
+from difffric.planning import SCATTER, Known, Plan, Step
 from difffric.report import Picture, Report, Section, Table, number
 from difffric.ring import Ring, measure
 from difffric.ring_file import load_ring
@@ -71,6 +71,7 @@ def step_answer(step: Step) -> dict:
         "landing_standard_deviation_m": step.deviations["all"],
         "by_source_m": {k: v for k, v in step.deviations.items() if k != "all"},
         "limited_by": step.limited_by,
+        "released": step.released,
     }
 
 
@@ -129,6 +130,8 @@ def plan_report(
         ),
         *answer["notes"],
     ]
+    if not step.released:
+        summary.append("The part is likely to rest in contact with the tip: there will be no d.")
     if step.probability < 0.99:
         summary.append(f"What limits it: {_source(step.limited_by)}.")
     rows = [

@@ -12,7 +12,7 @@ from scipy.special import ndtr
 from difffric.belief import Belief
 from difffric.landing import pushed
 from difffric.machine import Machine, Readings
-from difffric.plan import SURE, Known, Plan, plan
+from difffric.planning import SURE, Known, Plan, plan
 
 MEASURING = 2.0
 """[s] for a rotation of the ring"""

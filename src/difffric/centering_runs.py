@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from difffric import parameters
 from difffric.centering import Centering, centre
 from difffric.machine import Readings, SimulatedMachine
-from difffric.plan import Known
+from difffric.planning import Known
 from difffric.rig import Rig
 from difffric.ring import Ring
 from difffric.rivals import RIVALS, Rivals

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from difffric.centering import Centering
 from difffric.figures import new_figure
-from difffric.plan import Known, Plan
+from difffric.planning import Known, Plan
 from difffric.units import to_mm_min, to_um
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from difffric.belief import Belief
 from difffric.centering import Centering, centre
 from difffric.families import family
 from difffric.machine import Machine, Readings
-from difffric.plan import Known, Plan
+from difffric.planning import Known, Plan
 from difffric.surrogate import weighted
 
 SURROGATES, NOMINAL, SLOWEST, SLOWEST_BOOKED = "surrogates", "nominal", "slowest", "slowest_booked"

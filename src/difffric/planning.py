@@ -92,6 +92,8 @@ class Options:
     """standard deviations of the landing by all else [m], by source"""
     probability: NDArray
     """of landing within the tolerance"""
+    released: NDArray
+    """whether the part leaves the tip, with the median mu_s"""
 
     def best(self, target: int, sure: float = SURE) -> int:
         """The fastest push that is sure to land, else the one likeliest to; its speed's index."""
@@ -113,6 +115,8 @@ class Step:
     """of then being within the tolerance of the target"""
     deviations: dict[str, float]
     """the landing's standard deviation [m] by source; `all` together"""
+    released: bool
+    """whether the part leaves the tip; else it rests in contact, and there is no d"""
 
     @property
     def limited_by(self) -> str:
@@ -139,14 +143,20 @@ class Plan:
         return self.steps[0]
 
 
-def plan(known: Known, target: float, target_error: float = 0.0, sure: float = SURE) -> Plan:
+def plan(
+    known: Known | Setup | Rig, target: float, target_error: float = 0.0, sure: float = SURE
+) -> Plan:
     """The push [SI] that brings a part `target` metres further, known with a standard error.
+
+    A set-up says itself what is known (`Known.of`); a rig alone is known exactly.
 
     The fastest push that lands within the tolerance with at least the probability `sure`; where
     there is none, the first of two or more that do, or the best that can be had.
 
     Raises `InputError` for a target out of reach, and where no push ends there.
     """
+    if not isinstance(known, Known):
+        known = Known.of(known if isinstance(known, Setup) else Setup(known))
     if not (np.isfinite(target) and target > 0):
         raise InputError(f"the offset: expected a distance > 0, got {to_um(target):g} um")
     if target > known.reach:
@@ -158,8 +168,8 @@ def plan(known: Known, target: float, target_error: float = 0.0, sure: float = S
     if not np.isfinite(here.stroke).any():
         lo, hi = to_mm_min(known.speeds.min()), to_mm_min(known.speeds.max())
         raise InputError(
-            f"between {lo:g} and {hi:g} mm/min no push that can be followed ends "
-            f"{to_um(target):g} um away"
+            f"the speeds: between {lo:g} and {hi:g} mm/min no push that can be followed ends "
+            f"{to_um(target):g} um away; where a part breaks away late it jumps further"
         )
     i = here.best(0, sure)
     single = _step(here, 0, i, target)
@@ -183,16 +193,28 @@ def options(known: Known, targets: NDArray, target_error: float) -> Options:
     sigma = np.sqrt(sum(s**2 for s in rest.values()))
     there = np.isfinite(stroke)
     tried = np.where(there, stroke, target)
-    x = pushed(rig, velocity.repeat(K), tried.repeat(K), np.tile(mu, T * V), known.integrator)
-    landing = x.displacement.reshape(T * V, K) - target[:, None]
-    # The median is not where most of a skew density lies: shift the aim to where it helps.
-    shifts = np.linspace(-1.0, 1.0, 9)[:, None] * np.minimum(_spread(landing), 5 * known.within)
+
+    def lands(stroke):
+        x = pushed(rig, velocity.repeat(K), stroke.repeat(K), np.tile(mu, T * V), known.integrator)
+        slid = np.isfinite(x.sliding_distance.reshape(T * V, K)[:, K // 2])
+        return x.displacement.reshape(T * V, K) - target[:, None], slid
+
+    landing, released = lands(tried)
+    probability = landed(landing, sigma, known.within)
+    # The median is not where most of a skew density lies: another aim may land more often.
+    width = np.minimum(_spread(landing), 5 * known.within)
+    shifts = np.linspace(-1.0, 1.0, 9)[:, None] * width
     p = np.stack([landed(landing + s[:, None], sigma, known.within) for s in shifts])
-    which = np.argmax(np.nan_to_num(p, nan=-1.0), axis=0)
-    shift = shifts[which, np.arange(T * V)]
-    stroke = np.maximum(stroke + shift / np.maximum(found.by_stroke, 0.1), 0.0)
-    landing = landing + shift[:, None]
-    probability = np.where(there, p[which, np.arange(T * V)], np.nan)
+    shift = shifts[np.argmax(np.nan_to_num(p, nan=-1.0), axis=0), np.arange(T * V)]
+    if np.any(np.abs(shift) > 0.1 * known.within):
+        other = np.maximum(tried + shift / np.maximum(found.by_stroke, 0.1), 0.0)
+        other = np.where(there, other, tried)
+        elsewhere, _ = lands(other)  # not all mu_s move as the median does
+        better = landed(elsewhere, sigma, known.within) > probability
+        stroke = np.where(better, other, stroke)
+        landing = np.where(better[:, None], elsewhere, landing)
+        probability = landed(landing, sigma, known.within)
+    probability = np.where(there, probability, np.nan)
 
     def shaped(a):
         return np.where(there, a, np.nan).reshape(T, V)
@@ -205,6 +227,7 @@ def options(known: Known, targets: NDArray, target_error: float) -> Options:
         by_mu_s=shaped(found.by["mu_s"] * median),
         rest={name: shaped(s) for name, s in rest.items()},
         probability=probability.reshape(T, V),
+        released=released.reshape(T, V),
     )
 
 
@@ -260,6 +283,7 @@ def _step(o: Options, target, i, aim: float) -> Step:
         aim=aim,
         probability=float(o.probability[target, i]),
         deviations=parts | {"all": float(np.sqrt(sum(s**2 for s in parts.values())))},
+        released=bool(o.released[target, i]),
     )
 
 
