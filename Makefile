@@ -23,7 +23,8 @@ venv: $(READY)  ## make .venv, which every target below does by itself where it 
 demo: $(READY)  ## the paper's tables and figures, into out/paper
 	$(BIN)/difffric paper --out out/paper
 
-test: $(READY)  ## the tests
+test: $(READY)  ## the tests; the VHDL's need Debian's GHDL, yosys and Icarus, and are else skipped
+	@sh fpga/hdl/tools.sh
 	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
 
 study: $(READY)  ## 1800 calibrations, 3730 diagnoses (a day; CASES=50: of each part), the slow tests

@@ -7,7 +7,9 @@ import json
 import tomllib
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import escape
+
+from fpga import clip
+from fpga.markup import element
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent
@@ -45,11 +47,12 @@ def load(path: Path = SOURCE) -> Table:
         register.setdefault("at_reset", False if register["type"] == "Boolean" else 0)
         if register["offset"] % 4:
             raise ValueError(f"{register['name']}: a register begins at a multiple of 4 bytes")
+    card["clip"]["signal"] = clip.signals(card)
     return card
 
 
 def signature(card: Table) -> str:
-    """32 hexadecimal digits that change with anything of the interface but the sentences."""
+    """32 hexadecimal digits that change with anything of the host's interface but the sentences."""
 
     def bare(value: Any) -> Any:
         if isinstance(value, list):
@@ -58,63 +61,56 @@ def signature(card: Table) -> str:
             return {key: bare(item) for key, item in value.items() if key != "text"}
         return value
 
-    canonical = json.dumps(bare(card), sort_keys=True)
+    interface = {key: value for key, value in card.items() if key != "clip"}
+    canonical = json.dumps(bare(interface), sort_keys=True)
     return hashlib.sha256(canonical.encode()).hexdigest()[:32].upper()
-
-
-def _element(name: str, *content: str, attributes: str = "") -> str:
-    """An XML element: of text where that has no line of its own, else of lines."""
-    if len(content) == 1 and "\n" not in content[0] and not content[0].startswith("<"):
-        return f"<{name}{attributes}>{escape(content[0])}</{name}>"
-    inner = "\n".join(f"  {line}" for part in content for line in part.splitlines())
-    return f"<{name}{attributes}>\n{inner}\n</{name}>"
 
 
 def description(card: Table) -> str:
     """The registers and FIFOs in the form of a .lvbitx, without a bitstream."""
 
     def register(entry: Table, indicator: bool) -> str:
-        return _element(
+        return element(
             "Register",
-            _element("Name", entry["name"]),
-            _element("Hidden", "false"),
-            _element("Indicator", str(indicator).lower()),
-            _element("Datatype", _element(entry["type"], _element("Name", entry["name"]))),
-            _element("Offset", str(entry["offset"])),
-            _element("SizeInBits", str(BITS[entry["type"]])),
-            _element("Internal", "false"),
-            _element("AccessMayTimeout", "false"),
+            element("Name", entry["name"]),
+            element("Hidden", "false"),
+            element("Indicator", str(indicator).lower()),
+            element("Datatype", element(entry["type"], element("Name", entry["name"]))),
+            element("Offset", str(entry["offset"])),
+            element("SizeInBits", str(BITS[entry["type"]])),
+            element("Internal", "false"),
+            element("AccessMayTimeout", "false"),
         )
 
     def channel(entry: Table) -> str:
-        return _element(
+        return element(
             "Channel",
-            _element("Number", str(entry["number"])),
-            _element("DataType", _element("SubType", entry["type"])),
-            _element("Direction", "TargetToHost"),
-            _element("TransferSizeBytes", str(FIFO_BITS[entry["type"]] // 8)),
+            element("Number", str(entry["number"])),
+            element("DataType", element("SubType", entry["type"])),
+            element("Direction", "TargetToHost"),
+            element("TransferSizeBytes", str(FIFO_BITS[entry["type"]] // 8)),
             attributes=f' name="{entry["name"]}"',
         )
 
-    nifpga = _element(
+    nifpga = element(
         "NiFpga",
-        _element("BaseAddressOnDevice", str(card["card"]["base_address"])),
-        _element("DmaChannelAllocationList", *map(channel, card["fifo"])),
+        element("BaseAddressOnDevice", str(card["card"]["base_address"])),
+        element("DmaChannelAllocationList", *map(channel, card["fifo"])),
     )
-    results = _element("CompilationResultsTree", _element("CompilationResults", nifpga))
-    bitfile = _element(
+    results = element("CompilationResultsTree", element("CompilationResults", nifpga))
+    bitfile = element(
         "Bitfile",
-        _element("SignatureRegister", signature(card)),
-        _element(
+        element("SignatureRegister", signature(card)),
+        element(
             "VI",
-            _element("Name", card["card"]["name"]),
-            _element(
+            element("Name", card["card"]["name"]),
+            element(
                 "RegisterList",
                 *(register(entry, False) for entry in card["control"]),
                 *(register(entry, True) for entry in card["indicator"]),
             ),
         ),
-        _element("Project", results),
+        element("Project", results),
     )
     return (
         '<?xml version="1.0" encoding="UTF-8"?>\n'
@@ -200,6 +196,7 @@ the sentences: `{signature}`.
 
 The description is no bitfile: no card can be loaded with it. Whoever builds one gives it these
 names and types; its offsets and its signature are then its own, and nifpga takes them from it.
+[The logic between them](../fpga/README.md) is in VHDL.
 
 ## Registers
 
@@ -221,8 +218,9 @@ holds the last loss, so that `release_count` is where the part left the pusher f
 `released` is false at the push's end, the part rests in contact or was never touched. After a reset
 contact is lost below {lost:.0f} N and made at {made_at:.0f} N, for a sensor of 11.2 mV/N.
 
-**Saturated** is a force word of -32768 or 32767. **Overflow** has no status of its own: a full FIFO
-closes both until the push ends, `streamed` stops, and `samples` goes on.
+**Saturated** is a force word of -32768 or 32767, or the mean of conversions of which one is, where
+the card averages. **Overflow** has no status of its own: a full FIFO closes both until the push
+ends, `streamed` stops, and `samples` goes on.
 
 ## FIFOs
 
@@ -281,6 +279,7 @@ def files(card: Table) -> dict[Path, str]:
     return {
         DESCRIPTION: description(card),
         HERE / "emulator" / "registers.h": header(card),
+        HERE / "hdl" / f"{card['clip']['name']}.xml": clip.declaration(card, MADE),
         ROOT / "docs" / "card.md": page(card),
         ROOT / "src" / "difffric" / "card_registers.py": constants(card),
     }

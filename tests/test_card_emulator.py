@@ -77,6 +77,7 @@ def words_of(n, seed=0):
 
 
 def start(session):
+    session.registers["start"].write(False)  # a push begins as it becomes true
     session.registers["start"].write(True)
 
 
@@ -563,7 +564,8 @@ def busy_after_start(emulator, session, seconds):
 
     def write_and_leave(data):
         write(data)
-        emulator.pass_time(seconds)
+        if data:
+            emulator.pass_time(seconds)
 
     register.write = write_and_leave
 
@@ -623,3 +625,20 @@ with open_card(sys.argv[1]) as session:
         pytest.skip("ctypes finds no library here by LD_LIBRARY_PATH: it needs ld or gcc")
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["200000", "2"]
+
+
+def test_a_push_begins_only_as_start_becomes_true():
+    words, counts = words_of(50)
+    with emulated_card(rate=RATE, look=1e-6) as emulator:
+        for _ in range(2):
+            emulator.add_push(words, counts)
+        with emulator.open() as session:
+            session.run()
+            start(session)
+            emulator.pass_time(1.0)
+            assert read(session, "samples") == 50
+            session.registers["start"].write(True)  # as it stands
+            assert read(session, "samples") == 50 and read(session, "done")
+            start(session)
+            emulator.pass_time(10 / RATE)
+            assert read(session, "samples") < 50

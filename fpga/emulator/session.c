@@ -187,9 +187,9 @@ static Status write_register(enum type type, uint32_t address, int64_t value)
     int i = register_at(address, type);
     if (i < 0 || register_table[i].kind != CONTROL)
         return INVALID_PARAMETER;
-    if (i != REG_START)
-        card.value[i] = type == TYPE_Bool ? value != 0 : value;
-    else if (value)
+    bool starts = i == REG_START && value && !card.value[i]; /* an edge, as the core takes it */
+    card.value[i] = type == TYPE_Bool ? value != 0 : value;
+    if (starts)
         card_begin_push();
     return SUCCESS;
 }

@@ -259,6 +259,7 @@ class _Stream:
         group = _Group(self.writer, begin, Watch(*self.contact), keep)
         self._write("velocity_nm_per_s", round(command.velocity * 1e9))
         self._write("stroke_nm", round(command.stroke * 1e9))
+        self._write("start", False)  # a push begins as it becomes true
         self._write("start", True)
         began = time.monotonic()
         try:

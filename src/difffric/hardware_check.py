@@ -99,8 +99,9 @@ class Watch:
                         *loss, *(self._loss or ())
                     )
                 )
-            if (seen := int(says["saturated_samples"])) != self._saturated:
-                problems.append(f"the card counted {seen} saturated samples, not {self._saturated}")
+            # More where the card averages: a conversion at an end does not show in its mean.
+            if (seen := int(says["saturated_samples"])) < self._saturated:
+                problems.append(f"the card counted {seen} saturated samples of {self._saturated}")
         return Hardware(
             peak_word=peak,
             released=released,
