@@ -8,12 +8,16 @@ from typing import TYPE_CHECKING
 _HOME = {
     "AbstractContact": "contact",
     "AbstractFriction": "friction",
+    "Belief": "belief",
     "ClosedForm": "closed_form",
     "ConstantSpeed": "pusher",
     "DifffricError": "errors",
     "Diffrax": "integrate",
     "InputError": "errors",
+    "Known": "planning",
+    "Monitor": "monitor",
     "NumericalError": "errors",
+    "Predictor": "predictor",
     "Pushes": "pushes",
     "Recording": "recordings",
     "Recordings": "recordings",
@@ -22,19 +26,24 @@ _HOME = {
     "Trajectory": "trajectory",
     "UnilateralSpringDamper": "contact",
     "ViscousCoulomb": "friction",
+    "centre": "centering",
     "diagnose": "diagnosis",
     "extended": "effects",
     "family": "families",
     "fit": "calibration",
+    "fit_predictor": "predictor_fit",
     "identifiable": "identifiability",
     "identifier": "instant",
     "identify": "estimators",
     "invert": "inversion",
     "load": "data_file",
+    "load_ring": "ring_file",
     "load_setup": "setup_file",
+    "measure": "ring",
     "next_push": "optimal_push",
     "observe": "observables",
     "observe_batch": "batch",
+    "plan": "planning",
     "profile": "profiles",
     "regime_margin": "derivatives",
     "sensitivity": "derivatives",
@@ -47,7 +56,9 @@ __all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
 
 if TYPE_CHECKING:
     from difffric.batch import observe_batch as observe_batch
+    from difffric.belief import Belief as Belief
     from difffric.calibration import fit as fit
+    from difffric.centering import centre as centre
     from difffric.closed_form import ClosedForm as ClosedForm
     from difffric.contact import AbstractContact as AbstractContact
     from difffric.contact import UnilateralSpringDamper as UnilateralSpringDamper
@@ -68,8 +79,13 @@ if TYPE_CHECKING:
     from difffric.instant import identifier as identifier
     from difffric.integrate import Diffrax as Diffrax
     from difffric.inversion import invert as invert
+    from difffric.monitor import Monitor as Monitor
     from difffric.observables import observe as observe
     from difffric.optimal_push import next_push as next_push
+    from difffric.planning import Known as Known
+    from difffric.planning import plan as plan
+    from difffric.predictor import Predictor as Predictor
+    from difffric.predictor_fit import fit_predictor as fit_predictor
     from difffric.profiles import profile as profile
     from difffric.pusher import ConstantSpeed as ConstantSpeed
     from difffric.pushes import Pushes as Pushes
@@ -77,6 +93,8 @@ if TYPE_CHECKING:
     from difffric.recordings import Recordings as Recordings
     from difffric.rig import Rig as Rig
     from difffric.rig import spring_damper_rig as spring_damper_rig
+    from difffric.ring import measure as measure
+    from difffric.ring_file import load_ring as load_ring
     from difffric.runge_kutta import RungeKutta as RungeKutta
     from difffric.setup_file import load_setup as load_setup
     from difffric.trajectory import Trajectory as Trajectory
