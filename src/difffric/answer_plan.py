@@ -14,7 +14,7 @@ from difffric.report import Picture, Report, Section, Table, number
 from difffric.ring import Ring, measure
 from difffric.ring_file import load_ring
 from difffric.setup_file import Extras, Setup
-from difffric.units import from_um, to_mm, to_mm_min, to_um
+from difffric.units import from_mm, from_um, to_mm, to_mm_min, to_um
 
 SOURCES = {
     "mu_s": "mu_s: scatter from push to push, and its mean",
@@ -32,7 +32,7 @@ def with_mu_s(setup: Setup, mu_s: float | None, error: float | None) -> Setup:
 
 
 def offset_of(
-    offset_um: float | None, error_um: float, ring: Path | None
+    offset_um: float | None, error_um: float, ring: Path | None, radius_mm: float | None
 ) -> tuple[float, float, Ring | None]:
     """(offset [m], its standard error [m], the ring that it was found from). Raises `InputError`
     unless one of both says it."""
@@ -41,7 +41,7 @@ def offset_of(
     if ring is None:
         return from_um(offset_um), from_um(error_um), None
     try:
-        found = measure(*load_ring(ring))
+        found = measure(*load_ring(ring, None if radius_mm is None else from_mm(radius_mm)))
     except InputError as error:
         raise InputError(str(error) if str(ring) in str(error) else f"{ring}: {error}") from None
     return found.offset, found.offset_se, found

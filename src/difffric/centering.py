@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from difffric.belief import Belief
+from difffric.errors import InputError
 from difffric.landing import pushed
 from difffric.machine import Machine, Readings
 from difffric.planning import SURE, Known, Plan, plan
@@ -166,7 +167,11 @@ def centre(
             loop.measure()
             measured = True
             continue
-        before, planned = loop.offset, plan(known, e, deviation, sure)
+        try:
+            before, planned = loop.offset, plan(known, e, deviation, sure)
+        except InputError as error:  # out of reach, or less than any push moves the part
+            reason = str(error)
+            break
         step = planned.next
         readings = loop.push(step.velocity, step.stroke, known.handling)
         measured = False

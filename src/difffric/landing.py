@@ -52,7 +52,8 @@ def pushed(rig: Rig, velocity, stroke, mu_s, integrator=None) -> Landing:
     columns = np.broadcast_arrays(
         *(np.atleast_1d(np.asarray(x, float)) for x in (velocity, stroke, mu_s))
     )
-    return Landing(*_in_parts(lambda *own: _pushed(_numbers(rig), *own, integrator), columns))
+    numbers = _numbers(rig)
+    return Landing(*_in_parts(lambda *own: _pushed(numbers, *own, integrator), columns))
 
 
 def stroke_to(
@@ -67,8 +68,9 @@ def stroke_to(
     columns = np.broadcast_arrays(
         *(np.atleast_1d(np.asarray(x, float)) for x in (velocity, target, mu_s, longest))
     )
+    numbers = _numbers(rig)
     stroke, duration, slope, *rest = _in_parts(
-        lambda *own: _solved(_numbers(rig), *own, by, integrator), columns
+        lambda *own: _solved(numbers, *own, by, integrator), columns
     )
     return Stroke(stroke, duration, slope, dict(zip(by, rest, strict=True)))
 
