@@ -20,7 +20,10 @@ MEASURING = 2.0
 _MOST = 12
 _PROBE_SCALE = 1e-4
 """Relative standard error of the probe's scale: a digital linear probe's."""
-_NODES = 128
+_NODES, _FINER = 128, 40
+"""mu_s at which a push is followed to identify it, and the steps between two of them"""
+_NONE = 1e12
+"""chi^2 where the model has no such quantity"""
 
 
 @dataclass(frozen=True)
@@ -193,16 +196,15 @@ def centre(
 
 
 def identified(known: Known, velocity, stroke, readings: Readings) -> tuple[float, float] | None:
-    """(mu_s of one push, its relative standard error) from its force and distance, with what was
-    known before it; None where they say nothing.
+    """(mu_s of one push, its relative standard error) from its force and distance; None where
+    they say nothing. What was known before chooses among several mu_s for one distance.
 
     Where the part rests in contact there is no sliding distance: its displacement counts.
     """
-    weight = known.mu_s.next_push
-    lo, hi = known.mu_s.quantiles(np.array([1e-7, 1 - 1e-7]))
-    nodes = np.geomspace(lo / 1.1, hi * 1.1, _NODES)
+    lo, hi = known.mu_s.quantiles(np.array([1e-4, 1 - 1e-4]))
+    nodes = np.geomspace(max(0.6 * lo, 0.011), min(1.6 * hi, 1.9), _NODES)
     model = pushed(known.rig, velocity, stroke, nodes, known.integrator)
-    fine = np.linspace(np.log(nodes[0]), np.log(nodes[-1]), 40 * _NODES)
+    fine = np.linspace(np.log(nodes[0]), np.log(nodes[-1]), _FINER * _NODES)
     slid = np.isfinite(readings.sliding_distance)
     pairs = [
         (model.peak_force, readings.peak_force, readings.peak_force_se),
@@ -212,21 +214,20 @@ def identified(known: Known, velocity, stroke, readings: Readings) -> tuple[floa
     ]
     square = np.zeros_like(fine)
     for curve, value, error in pairs:
-        if not np.isfinite(value):
-            continue
-        at = np.interp(fine, np.log(nodes), np.nan_to_num(curve, nan=np.inf))
-        square = square + np.where(np.isfinite(at), ((at - value) / error) ** 2, 1e6)
-    prior = np.interp(fine, np.log(known.mu_s.mu_s), weight)
-    log = -0.5 * square + np.log(np.maximum(prior, 1e-300))
-    p = np.exp(log - log.max())
-    p /= p.sum()
-    mean = float(p @ fine)
-    error = float(np.sqrt(p @ (fine - mean) ** 2))
-    # What the push itself said, without what was known before: a normal quotient.
-    spread = np.sqrt(weight @ (np.log(known.mu_s.mu_s) - np.log(known.mu_s.mu_s) @ weight) ** 2)
-    if not np.isfinite(mean) or error >= 0.95 * spread:
+        if np.isfinite(value):
+            at = np.interp(fine, np.log(nodes), np.nan_to_num(curve, nan=np.inf))
+            square += np.where(np.isfinite(at), ((at - value) / error) ** 2, _NONE)
+    # A push that contradicts what was known counts, if not against one that does not.
+    prior = np.interp(fine, np.log(known.mu_s.mu_s), known.mu_s.next_push)
+    best = int(np.argmin(square - 2 * np.log(prior + 1e-6 * prior.max())))
+    falls = np.diff(square) < 0
+    while best + 1 < len(fine) and falls[best]:
+        best += 1
+    while best > 0 and not falls[best - 1] and square[best - 1] < square[best]:
+        best -= 1
+    above = square >= square[best] + 1
+    left, right = np.flatnonzero(above[:best]), np.flatnonzero(above[best:])
+    if not (len(left) and len(right)) or square[best] >= _NONE:
         return None
-    own = 1 / np.sqrt(1 / error**2 - 1 / spread**2) if spread > 0 else error
-    start = float(np.log(known.mu_s.mu_s) @ weight)
-    value = mean + (mean - start) * own**2 / spread**2
-    return float(np.exp(value)), max(float(own), float(fine[1] - fine[0]))
+    error = 0.5 * (fine[best + right[0]] - fine[left[-1]])
+    return float(np.exp(fine[best])), float(error)

@@ -7,6 +7,8 @@ the points of a grid, and the integral exact for that: what two optima are compa
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr, logsumexp
@@ -58,4 +60,6 @@ def _log_integral(grid: NDArray, r: NDArray) -> NDArray:
         tail = np.minimum(log_ndtr(left) - log_ndtr(right), -1e-16)
         inside = log_ndtr(right) + np.log(-np.expm1(tail))
         log = np.log(width / bend) + 0.5 * (low**2 - np.sum(a**2, axis=2)) + inside
-    return np.maximum(logsumexp(np.where(np.isfinite(log), log, -np.inf), axis=0), _NOTHING)
+    # (SciPy's annotation says that two numbers may come back; only one does.)
+    total: Any = logsumexp(np.where(np.isfinite(log), log, -np.inf), axis=0)
+    return np.maximum(total, _NOTHING)

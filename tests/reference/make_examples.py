@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.reference import files
+from tests.reference import files, rings
 from tests.reference.data import (
     MM_MIN,
     Noise,
@@ -34,6 +34,15 @@ NOISE = Noise(force=0.5, position=0.3e-6, force_step=2 * 446.0 / 2**15, position
 FORCE_SE, DISTANCE_SE = 0.3, 0.2e-6  # of the table: read by hand from the recordings' curves
 SLIDES = 20
 SLIDE_VELOCITY_SE, SLIDE_DISTANCE_SE = 0.01, 20e-6
+
+RING = {
+    "offset_um": 412.7, "direction_deg": -58.3, "radius_mm": 60.0, "noise_um": 0.3,
+    "lobes_um": {"2": [1.4, -0.6], "3": [0.3, 0.8], "5": [-0.2, 0.15]},
+}  # fmt: skip
+"""Of ring.csv: the offset is the whole first harmonic, the ring's own included."""
+
+WATCHED = {"pushes": 60, "changed_from": 41, "factor": 1.06}
+"""Of watched.csv: from that push on, mu_s is larger by the factor."""
 
 SETUP = """\
 # Rough guesses for the rig of pushes.csv and pushes.tdms: what an engineer knows before the first
@@ -76,12 +85,19 @@ Made data: the truth is known, and a fit can be held against it.
 | `pushes.csv` | {n} pushes, DRY and OILY: `F_p` and `d` with their standard errors |
 | `pushes.tdms` | the same {n} pushes recorded: force and position at 10 kHz |
 | `slides.csv` | {slides} free slides, DRY and OILY: release speed and distance |
+| `ring.csv` | 360 probe readings of a ring over a rotation: 4 missing, 9 outliers |
+| `watched.csv` | 60 pushes of the DRY part in a row, whose friction rises by 6 % on the way |
 | `hidden/` | 10 recordings of a rig whose friction falls with speed, its rough set-up, its truth |
 | `truth.json` | what they were made with: the rig, each push's own `mu_s`, its `F_p` and `d` |
 
 ```sh
 difffric fit examples/pushes.tdms --setup examples/setup.toml --out out/fit
 difffric identify examples/pushes.csv --setup examples/setup.toml --out out/identify
+difffric ring examples/ring.csv --out out/ring
+difffric plan examples/setup.toml --ring examples/ring.csv --out out/plan
+difffric centre examples/setup.toml --rings 10 --out out/centre
+difffric monitor examples/watched.csv --setup out/fit/setup.toml --out out/monitor
+difffric export out/fit/setup.toml --out out/controller
 difffric diagnose examples/hidden/pushes.tdms --setup examples/hidden/setup.toml --out out/diagnose
 ```
 
@@ -101,6 +117,9 @@ of a 16-bit converter over ±446 N, the position to 20 nm, from a zero that diff
 push. Noise of the table: {force_se:g} N and {distance_se:g} µm; of the slides:
 {slide_velocity_se:g} % in speed and {slide_distance_se:g} µm.
 
+`ring.csv` is made by meeting rays from the axis with the ring's surface by bisection; its offset,
+direction and lobes stand in `truth.json`.
+
 `hidden/` is made by the simulator of the tests of `diagnose`; its effect is 5 % of `F_p` or `d`:
 
 ```sh
@@ -117,6 +136,34 @@ def draw() -> tuple[list[Push], np.random.Generator]:
         n, first = len(SPEEDS), len(pushes) + 1
         pushes += make_pushes(rig, rng, n, SPEEDS, condition=condition, first=first)
     return pushes, rng
+
+
+def make_ring() -> str:
+    """The text of ring.csv: a lobed ring off its axis, with missing samples and outliers."""
+    rng = np.random.default_rng(SEED + 1)
+    phi, offset = np.radians(RING["direction_deg"]), 1e-6 * RING["offset_um"]
+    centre = offset * np.array([np.cos(phi), np.sin(phi)])
+    lobes = {int(n): (1e-6 * a, 1e-6 * b) for n, (a, b) in RING["lobes_um"].items()}
+    angle, radius, _ = rings.readings(
+        rng, centre, 1e-3 * RING["radius_mm"], lobes=lobes, noise=1e-6 * RING["noise_um"]
+    )
+    some = rng.permutation(len(angle))
+    radius[some[:9]] += 1e-6 * rng.uniform(5, 60, 9)  # chips under the probe
+    cells = [f"{1e3 * r:.6f}" for r in radius]
+    for i in some[9:13]:
+        cells[i] = ""
+    rows = (f"{a:.6g},{cell}" for a, cell in zip(np.degrees(angle), cells, strict=True))
+    return "\n".join(["angle_deg,radius_mm", *rows, ""])
+
+
+def watched() -> tuple[list[Push], np.random.Generator]:
+    """The pushes of watched.csv, and the generator for their noise."""
+    rng = np.random.default_rng(SEED + 2)
+    first, speeds = WATCHED["changed_from"], [MM_MIN * v for v in (2000, 3000, 5000)]
+    later = replace(DRY, mu_s=WATCHED["factor"] * DRY.mu_s)
+    pushes = make_pushes(DRY, rng, first - 1, speeds, condition="DRY")
+    rest = WATCHED["pushes"] + 1 - first
+    return pushes + make_pushes(later, rng, rest, speeds, condition="DRY", first=first), rng
 
 
 def write(directory: Path) -> None:
@@ -147,10 +194,15 @@ def write(directory: Path) -> None:
         {
             "seed": SEED,
             **files.truth(RIGS, pushes),
+            "ring": RING,
+            "watched": WATCHED,
             "slides": {"mu_s": [files.in_unit(mu_s, 1.0, 10) for mu_s in own]},
         },
     )
     (directory / "setup.toml").write_text(SETUP)
+    (directory / "ring.csv").write_text(make_ring())
+    table = measure(*watched(), force_se=FORCE_SE, distance_se=DISTANCE_SE)
+    files.write_table(directory / "watched.csv", table, digits=6)
     said = README.format(
         n=len(pushes),
         slides=len(own),

@@ -1,0 +1,221 @@
+"""The fit behind a measured ring: Gauss-Newton steps, weights against outliers, and lobes of
+unknown size integrated out. Parameters are x, y, R and then each lobe's two amplitudes [m]."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.errors import NumericalError
+
+_ORDERS = (5, 9, 16)
+_SCALES = 3.0 ** np.arange(6)
+_OUTLIER = 4.0
+"""Standard deviations beyond which a reading is an outlier: of normal ones 1 in 16 000 is."""
+
+
+class Readings(NamedTuple):
+    cos: NDArray
+    sin: NDArray
+    theta: NDArray
+    r: NDArray
+
+
+class Prior(NamedTuple):
+    """Lobes of the orders 2 to `order`, each amplitude N(0, scale^2); inf: free."""
+
+    order: int
+    scale: float
+
+    @property
+    def size(self) -> int:
+        return 3 + 2 * (self.order - 1)
+
+    @property
+    def precision(self) -> NDArray:
+        """[1/m^2], of every parameter: x, y, R, and each order's two amplitudes."""
+        return np.concatenate([np.zeros(3), np.full(self.size - 3, self.scale**-2.0)])
+
+
+class RingFit(NamedTuple):
+    p: NDArray
+    noise: float
+    covariance: NDArray
+    leverage: NDArray
+    freedom: float
+    form: float
+
+
+def start(data: Readings) -> NDArray:
+    """x, y, R of the algebraic circle x^2 + y^2 = 2 a x + 2 b y + c: exact without noise."""
+    x, y = data.r * data.cos, data.r * data.sin
+    mean = data.r.mean()
+    rows = np.stack([2 * x, 2 * y, np.full_like(x, mean)], axis=1)
+    (a, b, c), *_ = np.linalg.lstsq(rows, data.r**2, rcond=None)
+    square = c * mean + a**2 + b**2
+    if not np.hypot(a, b) < np.sqrt(max(square, 0.0)):  # outliers: from the mean circle then
+        return np.array([0.0, 0.0, np.median(data.r)])
+    return np.array([a, b, np.sqrt(square)])
+
+
+def model(data: Readings, p) -> tuple[NDArray, NDArray]:
+    """r (n,) and its derivatives (n, p); those through psi, 1e-5 of the rest, are left out."""
+    x, y, R = p[:3]
+    along = x * data.cos + y * data.sin
+    across = x * data.sin - y * data.cos
+    psi = data.theta + np.arcsin(np.clip(across / R, -1.0, 1.0))
+    orders = (len(p) - 3) // 2
+    turns = np.empty((orders + 1, len(psi)), complex)  # exp(i n psi), n = 1 upwards
+    turns[:] = np.exp(1j * psi)
+    np.multiply.accumulate(turns, axis=0, out=turns)
+    waves = np.ascontiguousarray(turns[1:].T).view(float)  # cos and sin in turn
+    at = R + waves @ p[3:]
+    inner = np.sqrt(np.maximum(at**2 - across**2, (1e-3 * R) ** 2))
+    by = np.empty((len(psi), len(p)))
+    by[:, 0] = data.cos - across / inner * data.sin
+    by[:, 1] = data.sin + across / inner * data.cos
+    by[:, 2] = at / inner
+    by[:, 3:] = waves * by[:, 2:3]
+    return along + inner, by
+
+
+def _shortened(step, p):
+    """A step that moves the centre by half the radius at most."""
+    longest = np.hypot(step[0], step[1])
+    return step * min(1.0, 0.5 * p[2] / longest) if longest > 0 else step
+
+
+def robust(data, p, prior, noise):
+    """A start that outliers hardly move (Tukey's weights), and who counts after it (0 or 1)."""
+    weight, e, by = np.ones_like(data.r), *_off(data, p)
+    sigma = noise or max(float(np.sqrt(e @ e / len(e))), 1e-15 * p[2])
+    for k in range(30):
+        heavy, ridge = by * weight[:, None], prior.precision * sigma**2
+        step = _inverse(heavy.T @ by + np.diag(ridge)) @ (heavy.T @ e - ridge * p)
+        p = p + _shortened(step, p)
+        e, by = _off(data, p)
+        spread = 1.4826 * np.median(np.abs(e)) * np.sqrt(len(e) / max(len(e) - 3, 1))
+        sigma = max(spread, noise or 0.0, 1e-15 * p[2])
+        z = np.abs(e) / (4.685 * sigma)
+        if k == 1 and z.max() < 1:
+            return p, np.ones_like(weight)  # nothing is far off
+        # Huber's weights first: Tukey's, from a bad start, may stay there.
+        huber = np.minimum(1.0, 0.29 / np.maximum(z, 1e-9))
+        new = huber if k < 5 else np.maximum(1 - z**2, 0.0) ** 2
+        settled = k > 5 and np.abs(new - weight).max() < 1e-2
+        weight = new
+        if settled:
+            break
+    return p, (np.abs(e) < _OUTLIER * sigma).astype(float)
+
+
+def fitted(data, p, prior: Prior | None, weight, noise, form) -> RingFit:
+    """Gauss-Newton from p to the best parameters; `prior` None: averaged over all priors."""
+    widest = prior or Prior(_ORDERS[-1], _SCALES[2] * form)
+    at = np.zeros(widest.size)
+    n = min(len(p), len(at))
+    at[:n] = p[:n]
+    by = inverse = np.zeros((0, 0))
+    variance = freedom = scale = 0.0
+    for _ in range(20):
+        value, by = model(data, at)
+        heavy = by * weight[:, None]
+        normal, e = heavy.T @ by, data.r - value
+        # About the circle alone: its lobes are unknowns of the linear problem, as x, y, R are.
+        e = e + by[:, 3:] @ at[3:]
+        right, square = heavy.T @ e, float(weight @ e**2)
+        exact = (1e-15 * at[2]) ** 2
+        variance, freedom = _variance(normal, right, square, weight.sum(), widest)
+        variance = max(noise**2 if noise else variance, exact)
+        if prior is None:
+            q, inverse, scale = _averaged(normal, right, variance, form)
+        else:
+            inverse = _inverse(normal + variance * np.diag(prior.precision))
+            q, scale = inverse @ right, prior.scale
+        step = np.concatenate([q[:3], q[3:] - at[3:]])
+        at = at + _shortened(step, at)
+        se = np.sqrt(variance * np.diag(inverse))
+        if (np.abs(step) <= 1e-3 * se + 1e-15 * at[2]).all():
+            break
+    leverage = np.einsum("ni,ij,nj->n", by, inverse, by)
+    return RingFit(at, float(np.sqrt(variance)), variance * inverse, leverage, freedom, scale)
+
+
+def _averaged(normal, right, variance, form):
+    """(estimate, covariance over the variance, mean size of lobes), averaged over orders and sizes
+    of lobes by how likely the readings are under each, the lobes integrated out.
+
+    The likeliest alone would be sure of what a short arc cannot show.
+    """
+    m = Prior(_ORDERS[-1], form).size
+    means, covariances, logs, sizes = [], [], [], []
+    for order in _ORDERS:
+        k = Prior(order, form).size
+        scales = _SCALES * form
+        penalty = np.zeros((len(scales), k))
+        penalty[:, 3:] = variance / scales[:, None] ** 2
+        inner = normal[:k, :k] + penalty[:, None, :] * np.eye(k)
+        inverse = np.linalg.inv(inner)
+        q = inverse @ right[:k]
+        loglik = 0.5 * (q @ right[:k]) / variance - 0.5 * np.linalg.slogdet(inner)[1]
+        logs.append(loglik + 0.5 * np.log(penalty[:, 3:]).sum(axis=1))
+        full = np.zeros((len(scales), m, m))
+        full[:, :k, :k] = inverse
+        # Orders beyond the model's are not there under it.
+        means.append(np.concatenate([q, np.zeros((len(scales), m - k))], axis=1))
+        covariances.append(full)
+        sizes.append(scales)
+    log = np.concatenate(logs)
+    share = np.exp(log - log.max())
+    share /= share.sum()
+    each, size = np.concatenate(means), np.concatenate(sizes)
+    mean = share @ each
+    apart = each - mean
+    inverse = np.tensordot(share, np.concatenate(covariances), 1)
+    inverse += (apart * share[:, None]).T @ apart / variance
+    return mean, inverse, float(share @ size)
+
+
+def _inverse(matrix) -> NDArray:
+    scale = 1 / np.sqrt(np.diag(matrix))
+    even = matrix * scale[:, None] * scale
+    try:
+        found = np.linalg.inv(even)
+        lost = not np.abs(found).max() < 1e14
+    except np.linalg.LinAlgError:
+        found, lost = even, True
+    if lost:
+        raise NumericalError(
+            "ring: the readings cannot tell offset, radius and lobes apart: fewer lobes, or a "
+            "longer arc, can be told"
+        )
+    return found * scale[:, None] * scale
+
+
+def _variance(normal, right, square, count, prior) -> tuple[float, float]:
+    """(of one reading [m^2], degrees of freedom), by a few rounds, as the prior's pull depends
+    on it."""
+    variance, freedom = max(square / count, 1e-300), 1.0
+    for _ in range(4):
+        inverse = _inverse(normal + variance * np.diag(prior.precision))
+        q = inverse @ right
+        rss = max(square - 2 * q @ right + q @ normal @ q, 0.0)
+        freedom = count - float((inverse * normal).sum())
+        variance = max(rss / max(freedom, 1.0), 1e-300)
+        if prior.scale == np.inf:
+            break
+    return variance, freedom
+
+
+def _off(data, p) -> tuple[NDArray, NDArray]:
+    value, by = model(data, p)
+    return data.r - value, by
+
+
+def inside(data, fit: RingFit) -> NDArray:
+    """Which readings are no outliers, in units of their residual's own standard deviation."""
+    e = np.abs(data.r - model(data, fit.p)[0])
+    own = np.sqrt(np.clip(1 - fit.leverage, 1e-2, 1.0))
+    return e < _OUTLIER * fit.noise * own + 1e-14 * fit.p[2]
