@@ -64,3 +64,11 @@ def test_an_expected_push_narrows_as_a_push_does():
 def test_an_empty_range_is_refused(bounds):
     with pytest.raises(InputError, match=r"range of mu_s: expected 0\.01 <= lower < upper <= 2"):
         Belief.uniform(*bounds, 0.01)
+
+
+def test_a_normal_likelihood_tells_what_a_normal_push_does():
+    belief = Belief.normal(0.141, 0.04, 0.015, 0.002)
+    log = np.linspace(math.log(0.05), math.log(0.4), 4000)
+    likelihood = np.exp(-0.5 * ((log - math.log(0.15)) / 0.02) ** 2)
+    told, seen = belief.told(log, likelihood), belief.seen(0.15, 0.02)
+    np.testing.assert_allclose(told.mean, seen.mean, rtol=2e-3)

@@ -72,15 +72,30 @@ def test_a_push_tells_its_own_mu_s(mu_s, stroke_um):
         machine = ReferenceMachine(LAWS, [1e-2, 0.0], random, mean=mu_s, scatter=0.0)
         read = machine.push(0.05, from_um(stroke_um), 0.0)
         found = identified(KNOWN, 0.05, from_um(stroke_um), read)
-        if found is not None:
-            off.append(np.log(found[0] / mu_s) / found[1])
+        if found.mu_s is not None:
+            off.append(np.log(found.mu_s / mu_s) / found.error)
     assert len(off) > 6 and np.sqrt(np.mean(np.square(off))) < 1.7
 
 
 def test_readings_that_say_nothing_change_nothing():
     nan = float("nan")
     blind = Readings(nan, 0.5, nan, 3e-7, nan, 4e-7, 0.1)
-    assert identified(KNOWN, 0.05, 3e-4, blind) is None
+    told = identified(KNOWN, 0.05, 3e-4, blind)
+    assert told.mu_s is None and (told.likelihood == 1).all()
+    after = KNOWN.mu_s.told(told.log_mu_s, told.likelihood)
+    np.testing.assert_allclose(after.weight, KNOWN.mu_s.weight, atol=1e-9)
+
+
+def test_a_part_that_did_not_move_tells_that_friction_is_not_small():
+    """A tip that stops before any friction above 0.15 lets go."""
+    stroke, velocity = from_um(20.0), 500e-3 / 60
+    machine = ReferenceMachine(LAWS, [1e-2, 0.0], np.random.default_rng(0), mean=0.22, scatter=0.0)
+    read = machine.push(velocity, stroke, 0.0)
+    assert abs(read.displacement) < 2e-6
+    told = identified(KNOWN, velocity, stroke, read)
+    after = KNOWN.mu_s.told(told.log_mu_s, told.likelihood)
+    least = after.quantiles(np.array([0.01]))[0]
+    assert 0.09 < least < 0.22 and after.quantiles(np.array([0.99]))[0] > 0.24
 
 
 def test_faster_than_the_other_ways():

@@ -71,6 +71,22 @@ class Belief:
             found = _normal(np.log(mu_s), np.hypot(error, self.scatter))
         return replace(self, weight=found / found.sum())
 
+    def told(self, log_mu_s: NDArray, likelihood: NDArray) -> Belief:
+        """After a push whose readings are so likely (n,) at these logarithms of its own mu_s, which
+        rise by equal steps; beyond their ends as at the ends."""
+        edges = np.append(_LOG, _LOG[-1] + _STEP) - _STEP / 2
+        area = np.concatenate([[0.0], np.cumsum(likelihood)])
+        step = log_mu_s[1] - log_mu_s[0]
+        at = np.append(log_mu_s, log_mu_s[-1] + step) - step / 2
+        inside = np.diff(np.interp(edges, at, area))
+        inside = np.where(_LOG < at[0], likelihood[0] * _STEP / step, inside)
+        inside = np.where(_LOG > at[-1], likelihood[-1] * _STEP / step, inside)
+        wandered = _blurred(self.weight, self.drift)
+        # A push that contradicts all that was known still counts, if not against one that fits.
+        wandered = wandered + 1e-9 * wandered.max()
+        found = wandered * _blurred(inside, self.scatter)
+        return replace(self, weight=found / found.sum())
+
     def expected(self) -> Belief:
         """As it is likely to be after one more push, about the same median."""
         _, known = self.mean
@@ -87,13 +103,13 @@ def _normal(centre: float, deviation: float) -> NDArray:
 
 
 def _blurred(weight: NDArray, deviation: float) -> NDArray:
-    if deviation <= 0:
+    if deviation <= 1e-3 * _STEP:
         return weight
     half = min(int(np.ceil(6 * deviation / _STEP)), len(_LOG) // 2 - 1)
     edges = (np.arange(-half, half + 2) - 0.5) * _STEP
     kernel = np.diff(ndtr(edges / deviation))
     out = np.convolve(weight, kernel, mode="same")
-    return out / out.sum()
+    return out * (weight.sum() / out.sum())
 
 
 def _quantiles(weight: NDArray, share: NDArray) -> NDArray:

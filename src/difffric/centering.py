@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -178,15 +179,14 @@ def centre(
         step = planned.next
         readings = loop.push(step.velocity, step.stroke, known.handling)
         measured = False
-        found = None
+        told = identified(known, step.velocity, step.stroke, readings)
         if identify is None:
-            found = identified(known, step.velocity, step.stroke, readings)
-            mu_s = known.mu_s if found is None else known.mu_s.seen(*found)
+            mu_s = known.mu_s.told(told.log_mu_s, told.likelihood)
         else:
             mu_s = identify(known, planned, readings) or known.mu_s
         known = replace(known, mu_s=mu_s)
-        value, error = found or (None, None)
-        pushes.append(Pushed(planned, readings, value, error, known.mu_s.mean, before, loop.offset))
+        after = known.mu_s.mean, before, loop.offset
+        pushes.append(Pushed(planned, readings, told.mu_s, told.error, *after))
         if measure_each:
             loop.measure()
             measured = True
@@ -195,11 +195,24 @@ def centre(
     return standing()
 
 
-def identified(known: Known, velocity, stroke, readings: Readings) -> tuple[float, float] | None:
-    """(mu_s of one push, its relative standard error) from its force and distance; None where
-    they say nothing. What was known before chooses among several mu_s for one distance.
+class Told(NamedTuple):
+    """What a push's force and distance say of its own mu_s."""
 
-    Where the part rests in contact there is no sliding distance: its displacement counts.
+    mu_s: float | None
+    """None where they do not tell one value"""
+    error: float | None
+    """its relative standard error"""
+    log_mu_s: NDArray
+    likelihood: NDArray
+    """at each of these logarithms; 1 at most"""
+
+
+def identified(known: Known, velocity, stroke, readings: Readings) -> Told:
+    """mu_s of one push from its force and distance.
+
+    Where the part rests in contact there is no sliding distance: its displacement counts. What was
+    known before chooses the value among several mu_s for one distance; the likelihood has them all,
+    and also says how far friction reaches that held the part.
     """
     lo, hi = known.mu_s.quantiles(np.array([1e-4, 1 - 1e-4]))
     nodes = np.geomspace(max(0.6 * lo, 0.011), min(1.6 * hi, 1.9), _NODES)
@@ -215,19 +228,21 @@ def identified(known: Known, velocity, stroke, readings: Readings) -> tuple[floa
     square = np.zeros_like(fine)
     for curve, value, error in pairs:
         if np.isfinite(value):
-            at = np.interp(fine, np.log(nodes), np.nan_to_num(curve, nan=np.inf))
-            square += np.where(np.isfinite(at), ((at - value) / error) ** 2, _NONE)
-    # A push that contradicts what was known counts, if not against one that does not.
+            at = np.interp(fine, np.log(nodes), np.nan_to_num(curve, nan=_NONE))
+            # What changes within a step of mu_s is not told apart.
+            slope = np.nan_to_num(np.gradient(curve, np.log(nodes)))
+            width = np.hypot(error, np.interp(fine, np.log(nodes), slope) * (fine[1] - fine[0]))
+            square += np.where(at < _NONE / 1e3, ((at - value) / width) ** 2, _NONE)
     prior = np.interp(fine, np.log(known.mu_s.mu_s), known.mu_s.next_push)
-    best = int(np.argmin(square - 2 * np.log(prior + 1e-6 * prior.max())))
-    falls = np.diff(square) < 0
-    while best + 1 < len(fine) and falls[best]:
+    best = int(np.argmin(square - 2 * np.log(prior + 1e-9 * prior.max())))
+    while best + 1 < len(fine) and square[best + 1] < square[best]:
         best += 1
-    while best > 0 and not falls[best - 1] and square[best - 1] < square[best]:
+    while best > 0 and square[best - 1] < square[best]:
         best -= 1
     above = square >= square[best] + 1
     left, right = np.flatnonzero(above[:best]), np.flatnonzero(above[best:])
+    likelihood = np.exp(-0.5 * (square - square.min()))
     if not (len(left) and len(right)) or square[best] >= _NONE:
-        return None
+        return Told(None, None, fine, likelihood)
     error = 0.5 * (fine[best + right[0]] - fine[left[-1]])
-    return float(np.exp(fine[best])), float(error)
+    return Told(float(np.exp(fine[best])), float(error), fine, likelihood)
