@@ -290,10 +290,10 @@ def _step(o: Options, target, i, aim: float) -> Step:
 def _several(known: Known, target, error, here: Options, single: Step, sure) -> Plan:
     """A first push, at the target or short of it, so that the time until the part is there is
     likely to be least."""
-    few = replace(known, speeds=known.speeds[:: -(-len(known.speeds) // 8)])
+    few, fewer = (replace(known, speeds=_some(known.speeds, n)) for n in (8, 4))
     # After a push its mu_s is known, and a second one is planned with that.
     left = _LEFT[_LEFT <= max(target, _LEFT[0])]
-    second = options(replace(few, mu_s=known.mu_s.expected()), left, error)
+    second = options(replace(fewer, mu_s=known.mu_s.expected()), left, error)
     sure_of = np.max(np.nan_to_num(second.probability, nan=0.0), axis=1)
 
     aims = target - _SHORT[_SHORT < 0.9 * target]
@@ -318,6 +318,11 @@ def _several(known: Known, target, error, here: Options, single: Step, sure) -> 
     if single.probability >= reached:
         steps, reached = [single], single.probability
     return Plan(target, error, tuple(steps), reached, here)
+
+
+def _some(speeds: NDArray, n: int) -> NDArray:
+    """n of the speeds at most, both ends among them."""
+    return speeds[np.unique(np.linspace(0, len(speeds) - 1, n).round().astype(int))]
 
 
 def speeds_between(lower: float, upper: float, count: int = 16) -> NDArray:
