@@ -15,7 +15,7 @@ from difffric.machine import Readings, SimulatedMachine
 from difffric.planning import WITHIN
 from difffric.rivals import NOMINAL, RIVALS, SLOWEST, SURROGATES
 from difffric.units import from_um
-from tests.reference.machine import ReferenceMachine
+from tests.reference_machine import ReferenceMachine
 
 LAWS = {"m": 18.9, "ratio": 0.75, "k_v": 5.0, "k": 8e5, "b": 1500.0}
 RIG = spring_damper_rig(mass=18.9, mu_s=0.141, mu_k_over_mu_s=0.75, k_v=5.0, k=8e5, b=1500.0)

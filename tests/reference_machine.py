@@ -1,4 +1,7 @@
-"""A machine that centres rings, made from the tests' own push and their own ring."""
+"""A machine that centres rings, made from the tests' own push and their own ring.
+
+Only the form of its answers is the library's.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import math
 
 import numpy as np
 
-from difffric.machine import Readings  # the form of the answer, no physics
+from difffric.machine import Readings
 from difffric.ring import measure
 from tests.reference import rings, traces
 
