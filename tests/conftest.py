@@ -4,11 +4,19 @@ programs for all of them, so that a second run spends its time on testing."""
 import os
 from pathlib import Path
 
+from hypothesis import settings
+
 CACHE = Path(__file__).parents[1] / ".pytest_cache" / "jax"
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(CACHE))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 os.environ["JAX_ENABLE_X64"] = "1"
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
+
+settings.register_profile("same", derandomize=True)
+settings.register_profile("random")
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
+"""The same inputs on every run, so that a failure is the change's; `HYPOTHESIS_PROFILE=random`
+draws others."""
 
 LONGEST = (
     "diagnose",
@@ -18,6 +26,7 @@ LONGEST = (
     "paper",
     "cli_fit",
     "docs",
+    "browser",
     "identification",
 )
 """Files that take longest: on several cores they begin, so that none is left over at the end."""

@@ -7,7 +7,7 @@ import math
 import jax
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from difffric import RungeKutta, extended, observe, parameters, simulate, spring_damper_rig
@@ -41,6 +41,15 @@ def reference(v, stroke, mu_s, k=8e5, b=1500.0, ratio=0.75, k_v=5.0, m=18.9):
 
 @settings(max_examples=150, deadline=None)
 @given(v=speeds, stroke=strokes, mu_s=frictions, contact=contacts)
+# Undamped, the part stops just where the pusher catches it again, or its speed just touches zero.
+@example(v=500 / 6e4, stroke=4.034287934927351e-4, mu_s=0.25, contact=(656203.0, 0.0, 0.5, 0.0))
+@example(v=500 / 6e4, stroke=4.034287934927351e-4, mu_s=0.25, contact=(659392.0, 0.0, 1.0, 0.0))
+@example(
+    v=500 / 6e4,
+    stroke=1.0966331584284584e-3,
+    mu_s=0.08352508085798377,
+    contact=(405196.0, 0.0, 0.5, 0.0),
+)
 def test_displacement_is_the_independent_one(v, stroke, mu_s, contact):
     k, b, ratio, k_v = contact
     rig = spring_damper_rig(mass=18.9, mu_s=mu_s, mu_k_over_mu_s=ratio, k_v=k_v, k=k, b=b)

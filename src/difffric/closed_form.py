@@ -107,6 +107,8 @@ class ClosedForm(eqx.Module):
             top = jnp.where(halts, top, 0.0)
             args = (osc.alpha, osc.omega0_sq, w, dw, v_p)
             halt = jnp.where(halts, falling_root(_undershoot, args, 0.0, top, 0.5 * top), jnp.inf)
+            # Caught as it comes to rest, its last speed lost in rounding.
+            halt = jnp.where(falling & (w >= v_p) & (v_p > 0), 0.0, halt)
         dt, event = first_event((left, STOP), (turn, TURN), (halt, HALT))
         at_turn = osc.extremum(xi, w, _finite(dt))
         if may_halt:

@@ -117,10 +117,14 @@ class Oscillation:
 
 
 def root(f, slope, lo, hi, tiny):
-    """Root of f between lo and hi, where its sign changes: Newton kept inside the bracket."""
-    rising = f(hi) > 0
+    """Root of f between lo and hi, where its sign changes: Newton kept inside the bracket, which
+    is halved at least every other step (near a double root Newton's steps follow the rounding)."""
+    at_hi = f(hi)
+    if at_hi == 0:
+        return hi
+    rising = at_hi > 0
     t = (lo + hi) / 2
-    for _ in range(1000):
+    for step in range(1000):
         value, gradient = f(t), slope(t)
         if (value > 0) == rising:
             hi = t
@@ -129,7 +133,7 @@ def root(f, slope, lo, hi, tiny):
         newton = t - value / gradient if gradient else lo
         if abs(newton - t) <= tiny * hi:
             return newton
-        t = newton if lo < newton < hi else (lo + hi) / 2
+        t = newton if step % 2 and lo < newton < hi else (lo + hi) / 2
         if hi - lo <= tiny * hi:
             return t
     raise ArithmeticError("the root did not converge")
