@@ -35,6 +35,7 @@ _HOME = {
     "identifiable": "identifiability",
     "identifier": "instant",
     "identify": "estimators",
+    "identify_fleet": "fleet",
     "invert": "inversion",
     "load": "data_file",
     "load_ring": "ring_file",
@@ -73,6 +74,7 @@ if TYPE_CHECKING:
     from difffric.errors import NumericalError as NumericalError
     from difffric.estimators import identify as identify
     from difffric.families import family as family
+    from difffric.fleet import identify_fleet as identify_fleet
     from difffric.friction import AbstractFriction as AbstractFriction
     from difffric.friction import ViscousCoulomb as ViscousCoulomb
     from difffric.identifiability import identifiable as identifiable

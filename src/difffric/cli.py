@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from difffric import cli_use as cli_use  # its commands are the app's too
+from difffric.cli_fleet import Archive, FleetSetup, Scheduler, Workers, identify_many, is_fleet
 from difffric.cli_parts import (
     Data,
     DataMass,
@@ -228,20 +229,28 @@ def fit(
 
 @app.command()
 def identify(
-    data: Data,
-    setup: SetupOption,
+    data: Archive,
+    setup: FleetSetup = None,
     use_data_mass: DataMass = False,
     skip_bad: SkipBad = False,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     out: Out = None,
     quiet: Quiet = False,
 ) -> None:
-    """mu_s of each push from force, distance, (7), the optimal combination, the recording."""
+    """mu_s of each push from force, distance, (7), the optimal combination, the recording; of
+    a folder or a pattern of files, a fleet's: one Parquet data set."""
     check_writable(out)
+    if is_fleet(data, workers, scheduler):
+        return identify_many(data, setup, use_data_mass, workers, scheduler, out, quiet)
     from difffric import answer_identify as answers
     from difffric.data_file import load
+    from difffric.errors import InputError
     from difffric.estimators import identify as estimate
     from difffric.setup_file import read_setup
 
+    if setup is None:
+        raise InputError(f"--setup is missing: expected the set-up of the rig of {data}")
     rig, loaded = read_setup(setup), load(data, skip_bad=skip_bad)
     with progress(quiet) as tell:
         found = estimate(rig, loaded, use_data_mass=use_data_mass, skip_bad=skip_bad, tell=tell)

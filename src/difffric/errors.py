@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import jax
-
 
 class DifffricError(Exception):
     """Base class of the errors this library raises on purpose."""
@@ -26,6 +24,8 @@ def require_float64() -> None:
 
     Event times and the derivatives through them lose all meaning in 32 bits.
     """
+    import jax  # here, as errors are told where no JAX is needed
+
     if not jax.config.read("jax_enable_x64"):
         raise InputError(
             "difffric needs 64-bit floats and JAX is in 32-bit mode: call "

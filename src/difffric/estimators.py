@@ -154,7 +154,7 @@ def _inverted(known, rigs, pushes, roots, range_ratio, options) -> list[PushFric
     velocity = pushes.velocity
     force = invert(rigs, velocity, pushes.peak_force, "peak_force", **options)
     distance = invert(rigs, velocity, pushes.sliding_distance, "sliding_distance", **options)
-    distance = _supported_by_force(rigs, pushes, distance, integrator)
+    distance = supported_by_force(rigs, pushes, distance, integrator)
     gradients, regimes = around(rigs, pushes, force, distance, known.names, integrator)
     fallback = [
         sensor if np.isnan(spread) else spread
@@ -304,7 +304,7 @@ def _at(rigs, velocity, mu_s, free, integrator):
     return jax.vmap(one)(rigs, velocity, mu_s)
 
 
-def _supported_by_force(rigs, pushes, distance, integrator) -> list[Inversion]:
+def supported_by_force(rigs, pushes, distance, integrator) -> list[Inversion]:
     """Among several mu_s for one distance, the one that the measured force supports."""
     chosen = list(distance)
     open_ = [

@@ -163,7 +163,7 @@ def invert(
     velocity, target = velocity.astype(float), target.astype(float)
     n = len(target)
     try:
-        rigs = parameters.spread(rigs, n)
+        rigs = jax.tree.map(np.asarray, parameters.spread(rigs, n))  # JAX's are slow to index
     except ValueError as error:
         raise InputError(
             f"invert: the rig's numbers must be one value or {n}, one a push"
@@ -310,6 +310,21 @@ def _ends(rigs, velocity, quantity, bracket, integrator):
     return least, most
 
 
+def _model_once(rigs, velocity, which, points, quantity, integrator):
+    """`model_at` of the pushes `which` at rows of equally spaced points of log mu_s: once for all
+    rows that are alike, as those of a rig that is pushed at a few speeds are."""
+    numbers = (np.asarray(x)[which] for x in (*jax.tree.leaves(rigs), velocity))
+    code = np.zeros(len(which), int)
+    for column in (*numbers, points[:, 0], points[:, -1]):
+        values, own = np.unique(column, return_inverse=True)
+        if len(values) > 1:
+            code = np.unique(code * len(values) + own, return_inverse=True)[1]
+    _, first, again = np.unique(code, return_index=True, return_inverse=True)
+    own = which[first]
+    found = model_at(pick(rigs, own), velocity[own], points[first], quantity, integrator)
+    return tuple(x[again] for x in found)
+
+
 def _crossings(rigs, velocity, target, quantity, bracket, integrator):
     """Intervals (push, lower, upper, rising) of log mu_s in which the model crosses the target.
 
@@ -320,9 +335,7 @@ def _crossings(rigs, velocity, target, quantity, bracket, integrator):
     which = np.arange(len(target))
     points = np.broadcast_to(_grid(bracket), (len(target), _GRID))
     for level in range(_LEVELS):
-        value, slope, kind = model_at(
-            pick(rigs, which), velocity[which], points, quantity, integrator
-        )
+        value, slope, kind = _model_once(rigs, velocity, which, points, quantity, integrator)
         excess = value / target[which, None] - 1.0
         a, b = excess[:, :-1], excess[:, 1:]
         sa, sb = slope[:, :-1], slope[:, 1:]

@@ -80,6 +80,8 @@ class Recording:
     """rest before the push [s]"""
     name: str = ""
     """of the file's group"""
+    started: float = np.nan
+    """when it was recorded [s since 1970, UTC]"""
 
     def in_newtons(self, sensor: ForceSensor) -> Recording:
         """The recording with its force in newtons, by the sensor's sensitivity where it is in

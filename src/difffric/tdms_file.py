@@ -10,6 +10,7 @@ from decimal import Decimal
 from typing import Any
 
 import numpy as np
+from nptdms.timestamp import TdmsTimestamp
 
 from difffric.errors import InputError
 from difffric.measured import OF_RECORDING, meant, one_line, told, unknown
@@ -112,7 +113,9 @@ def _recording(
     if not {"force", "position"} & {channel.strip().lower() for channel in channels}:
         got = ", ".join(channels) or "none"
         problems.append(f"{where}: expected a channel force or position, got {got}")
-    return (None, problems) if problems else (Recording(**said, **found, name=name), [])
+    if problems:
+        return None, problems
+    return Recording(**said, **found, name=name, started=_started(channels)), []
 
 
 def _channel(
@@ -148,6 +151,14 @@ def _channel(
     to, divisor = units[unit.strip()]
     scaling = scaling_of(says, group.properties, contents.root)
     return Channel(one.n, dt, start, to, Samples(file, where, one, scaling, divisor).read)
+
+
+def _started(channels: Mapping[str, TdmsObject]) -> float:
+    """The earliest `wf_start_time` of a group's channels [s since 1970]; NaN where none is said.
+    A clock that was never set says 1904."""
+    said = [one.properties.get("wf_start_time") for one in channels.values()]
+    times = [float(t.as_datetime64("s").astype(int)) for t in said if isinstance(t, TdmsTimestamp)]
+    return min((t for t in times if t > 0), default=math.nan)
 
 
 def _agree(samples: float, one: TdmsObject) -> bool:
