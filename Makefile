@@ -13,7 +13,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv demo test study bench lint lock clean
+.PHONY: help venv demo docs test study bench lint lock clean
 
 help:  ## show this list
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1@\2/p' Makefile | awk -F@ '{printf "%-12s %s\n", $$1, $$2}'
@@ -23,8 +23,13 @@ venv: $(READY)  ## make .venv, which every target below does by itself where it 
 demo: $(READY)  ## the paper's tables and figures, into out/paper
 	$(BIN)/difffric paper --out out/paper
 
-test: $(READY)  ## the tests; the VHDL's need Debian's GHDL, yosys and Icarus, and are else skipped
-	@sh fpga/hdl/tools.sh
+docs: $(READY)  ## the docs site, its notebooks executed, into out/site (minutes)
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet \
+	  -c docs/site -d out/.doctrees . out/site
+	@echo "written: out/site/index.html"
+
+test: $(READY)  ## the tests; some need Debian's GHDL, yosys, Icarus, Chromium, and are else skipped
+	@sh tests/tools.sh
 	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
 
 study: $(READY)  ## 1800 calibrations, 3730 diagnoses (a day; CASES=50: of each part), the slow tests

@@ -17,8 +17,11 @@ from difffric.cli import app
 from difffric.misfit import PHASES
 from difffric.setup_file import Setup, read_setup
 from difffric.shape_scan import within_the_way
+from tests.browser import WIDTHS, browser, faults, needs_chromium
 from tests.hidden import heldout, random_case, write
 from tests.prediction import prediction_error
+
+__all__ = ["browser"]  # a fixture
 
 # One effect at least of each component, sizes at which it is not to be missed.
 HIDDEN = {
@@ -145,13 +148,20 @@ def test_what_the_catalogue_lacks_is_located(tmp_path):
     assert one.found.as_dict()["location"] == "friction"
 
 
-def test_the_command_writes_a_set_up_that_the_others_take(tmp_path):
+@pytest.fixture(scope="module")
+def commanded(tmp_path_factory):
+    """A case, its file, and the folder that `difffric diagnose` has written."""
+    folder = tmp_path_factory.mktemp("commanded")
     case = random_case(2, "probe_scale", strength=12, kind="table")
-    path = write(case, tmp_path / "data")
-    words = ["diagnose", str(path), "--setup", str(tmp_path / "data" / "setup.toml")]
-    out = tmp_path / "out"
-    ended = CliRunner().invoke(app, [*words, "--out", str(out), "--quiet"])
+    path = write(case, folder / "data")
+    words = ["diagnose", str(path), "--setup", str(folder / "data" / "setup.toml")]
+    ended = CliRunner().invoke(app, [*words, "--out", str(folder / "out"), "--quiet"])
     assert ended.exit_code == 0, ended.output
+    return case, path, folder / "out"
+
+
+def test_the_command_writes_a_set_up_that_the_others_take(commanded):
+    case, path, out = commanded
     answer = json.loads((out / "result.json").read_text())
     assert [cause["id"] for cause in answer["causes"]] == ["probe_scale"]
     found = answer["causes"][0]["parameters"]["factor"]
@@ -159,13 +169,18 @@ def test_the_command_writes_a_set_up_that_the_others_take(tmp_path):
     assert abs(off) < 4 * found["standard_error"]
     wanted = {"verdict", "lack_of_fit", "causes", "negligible", "location", "gain"}
     assert wanted | {"not_visible", "next_experiment"} <= answer.keys()
-    assert (out / "report.html").exists()
     extended = read_setup(out / "setup.toml")
     pushes = df.load(path)
     assert "probe_scale.factor" in df.fit(extended, pushes).names
     again = df.diagnose(extended, pushes)
     assert again.verdict == "adequate"
     assert df.simulate(extended.rig, velocity=0.05).peak_force > 0
+
+
+@needs_chromium
+def test_the_report_shows_at_both_widths(browser, commanded):
+    for width in WIDTHS:
+        assert faults(browser, commanded[-1] / "report.html", width) == [], width
 
 
 def test_bad_input_is_one_clear_line(tmp_path):

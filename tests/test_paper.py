@@ -14,6 +14,9 @@ from difffric.families import family
 from difffric.report import plain, write
 from difffric.surrogate import PUBLISHED_DISTANCE, PUBLISHED_FORCE, weighted
 from difffric.units import from_mm_min
+from tests.browser import WIDTHS, browser, faults, needs_chromium
+
+__all__ = ["browser"]  # a fixture
 
 
 @pytest.fixture(scope="module")
@@ -135,6 +138,13 @@ def test_the_answer_has_the_contract_s_fields(study, tmp_path):
         "identified",
     ):
         assert (tmp_path / f"{figure}.png").stat().st_size > 10_000
+
+
+@needs_chromium
+def test_the_report_shows_at_both_widths(browser, study, tmp_path):
+    write(tmp_path, study.as_dict(), paper_report(study))
+    for width in WIDTHS:
+        assert faults(browser, tmp_path / "report.html", width) == [], width
 
 
 def test_from_the_distance_the_model_beats_the_paper_where_it_can_reach(study):

@@ -106,7 +106,7 @@ def _pairs(found: Sequence[Run], known: Known):
 def centre_report(answer: dict, found: Sequence[Run], known: Known, pictures: bool) -> Report:
     """All runs for a person."""
     ways, ours = answer["ways"], answer["ways"][OURS]
-    within = f"{to_um(known.within):g} um"
+    within = f"{to_um(known.within):g} µm"
     summary = [
         f"Of {ours['rings']} rings {100 * ours['centred']:.1f} % are within {within} in the end; "
         f"median time {ours['time_median_s']:.2f} s, {ours['pushes_mean']:.2f} pushes and "
@@ -182,9 +182,9 @@ def _one(r: Run, known: Known) -> Table:
                 number(to_um(float(np.hypot(*at))), 3),
             ]
         )
-    columns = ("push", "mm/min", "stroke [um]", "aim [um]", "lands", "mu_s", "left [um]")
+    columns = ("push", "mm/min", "stroke [µm]", "aim [µm]", "lands", "mu_s", "left [µm]")
     return Table(
-        f"The first ring: {to_um(float(np.hypot(*r.ring.offset))):.1f} um off, mu_s "
+        f"The first ring: {to_um(float(np.hypot(*r.ring.offset))):.1f} µm off, mu_s "
         f"{r.ring.mu_s:.4f}; left: in truth",
         columns, rows,
     )  # fmt: skip

@@ -116,10 +116,10 @@ def plan_report(
     line = ", ".join(
         [
             *turn,
-            f"push by {to_um(step.stroke):.2f} um at {to_mm_min(step.velocity):.0f} mm/min",
+            f"push by {to_um(step.stroke):.2f} µm at {to_mm_min(step.velocity):.0f} mm/min",
         ]
     )
-    within = f"{to_um(known.within):g} um"
+    within = f"{to_um(known.within):g} µm"
     summary = [
         f"{line[0].upper()}{line[1:]}.",
         f"It ends within {within} of the target with a probability of {step.probability:.4f}"
@@ -146,11 +146,11 @@ def plan_report(
         ]
         for i, s in enumerate(found.steps, 1)
     ]
-    columns = ("push", "mm/min", "stroke [um]", "aim [um]", "spread [um]", "lands", "time [s]")
+    columns = ("push", "mm/min", "stroke [µm]", "aim [µm]", "spread [µm]", "lands", "time [s]")
     spread = [[_source(k), number(to_um(v), 3)] for k, v in step.deviations.items() if k != "all"]
     tables = [
         Table("Pushes; those after the first are what is likely then", columns, rows),
-        Table("What spreads the first push's landing", ("source", "[um]"), spread),
+        Table("What spreads the first push's landing", ("source", "[µm]"), spread),
     ]
     drawn = []
     if pictures:

@@ -271,7 +271,7 @@ def identified(found: Identified, velocity: NDArray) -> Figure:
     v = to_mm_min(velocity)
     best = np.array([np.nan if p.best.value is None else p.best.value for p in found])
     with matplotlib.rc_context(STYLE):
-        columns = min(len(ways), 3)
+        columns = 2 if len(ways) == 4 else min(len(ways), 3)
         rows = -(-len(ways) // columns)
         figure, axes = new_figure(
             columns, 3.5 * columns + 0.6, 3.0 * rows, rows=rows, squeeze=False, sharey=True,
@@ -297,8 +297,9 @@ def identified(found: Identified, velocity: NDArray) -> Figure:
         for ax in axes.flat[len(ways) :]:
             ax.set_visible(False)
         slides = all(np.isnan(p.velocity) for p in found)
-        for ax in axes[-1]:
+        for ax in axes.flat[max(0, len(ways) - columns) : len(ways)]:  # the last of each column
             ax.set_xlabel("release speed [mm/min]" if slides else "pusher speed v [mm/min]")
+            ax.tick_params(labelbottom=True)
         for ax in axes[:, 0]:
             ax.set_ylabel(r"$\mu_s$")
         if any(conditions):
