@@ -7,6 +7,7 @@ from pathlib import Path
 from hypothesis import settings
 
 CACHE = Path(__file__).parents[1] / ".pytest_cache" / "jax"
+CACHE.mkdir(mode=0o700, parents=True, exist_ok=True)
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(CACHE))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 os.environ["JAX_ENABLE_X64"] = "1"

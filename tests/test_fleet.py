@@ -83,7 +83,7 @@ def close(found, expected, tolerance=1e-12):
 def columns_are_those_of_identify(setup, pushes):
     """Estimates, standard errors and what stands beside them agree."""
     table, answers = friction([(setup, pushes)])[0], df.identify(setup, pushes)
-    for way in WAYS[:-1]:
+    for way in list(WAYS)[:-1]:
         assert close(table[way].to_numpy(), answers.values(way)), way
         assert close(table[f"{way}_se"].to_numpy(), answers.standard_errors(way)), way
     assert table["regime"].to_list() == [p.regime for p in answers]

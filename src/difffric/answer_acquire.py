@@ -13,7 +13,6 @@ import numpy as np
 from difffric.acquire import Acquired, Command, acquire, troubles
 from difffric.card import METRES_PER_COUNT, VOLTS_PER_WORD, CardError, CardSession
 from difffric.errors import InputError
-from difffric.figures_acquire import strokes
 from difffric.live_identification import LiveIdentifier, LivePush
 from difffric.live_view import LivePlot, LiveView, notes
 from difffric.recordings import Recording
@@ -207,6 +206,8 @@ def acquire_report(answer: dict, run: Run, pictures: bool = False) -> Report:
         tables.append(Table("Notes", ("push", ""), told))
     drawn = []
     if pictures and len(run.first) == 2:
+        from difffric.figures_acquire import strokes
+
         drawn.append(
             Picture(
                 "strokes",

@@ -8,7 +8,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric import figures_plan
 from difffric.answer_plan import step_answer
 from difffric.centering_runs import OURS, Run
 from difffric.planning import Known
@@ -138,6 +137,8 @@ def centre_report(answer: dict, found: Sequence[Run], known: Known, pictures: bo
     tables.append(_one(first, known))
     drawn = []
     if pictures:
+        from difffric import figures_plan
+
         drawn = [
             Picture(
                 "run",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from difffric import figures_diagnose
 from difffric.misfit import told
 from difffric.report import Picture, Report, Section, Table, number
 from difffric.setup_file import write_setup
@@ -138,6 +137,8 @@ def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
                       "at most [µm]"), rows)  # fmt: skip
         sections.append(Section("Beyond the plain model", tables=(table,)))
     if pictures:
+        from difffric import figures_diagnose
+
         recordings = found.work[0].task.model.recordings
         drawn = []
         if recordings:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 
 from difffric import parameters
-from difffric.figures_predictor import predictor_figure
 from difffric.fit_data import sensor_errors
 from difffric.predictor import REASONS
 from difffric.predictor_c import golden, source_files, statement
@@ -60,6 +59,8 @@ def files_of(exported: Exported, rig: Rig) -> dict[str, bytes]:
 
 def export_report(exported: Exported, rig: Rig) -> Report:
     """The predictor for a person."""
+    from difffric.figures_predictor import predictor_figure
+
     p = exported.predictor
 
     def percent(value, digits=3):

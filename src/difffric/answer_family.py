@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from difffric.families import Family
-from difffric.figures import families
 from difffric.report import NO_STROKE, Picture, Report, Section, Table, number
 from difffric.rig import Rig
 from difffric.surrogate import PUBLISHED_DISTANCE, PUBLISHED_FORCE
@@ -46,6 +45,8 @@ def _surrogate_misfit(family: Family, force, distance) -> dict:
 
 def family_report(answer: dict, family: Family, rig: Rig) -> Report:
     """The families for a person."""
+    from difffric.figures import families
+
     rows = []
     for equation in ("equation_3", "equation_5"):
         for name, fitted in answer[equation]["fitted"].items():

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric import figures_fit
 from difffric.errors import InputError
 from difffric.fitted import Fit
 from difffric.fitted_curves import FittedPushes, chi2_per_sample, fitted_pushes, fitted_trace
@@ -274,6 +273,8 @@ def _noise(fit: Fit) -> Table:
 
 
 def _correlation_picture(fit: Fit) -> list[Picture]:
+    from difffric import figures_fit
+
     if len(fit.free) < 3:
         return []
     caption = "Correlations of the free parameters."
@@ -281,6 +282,8 @@ def _correlation_picture(fit: Fit) -> list[Picture]:
 
 
 def _push_pictures(answer: Answer) -> list[Picture]:
+    from difffric import figures_fit
+
     fit = answer.fit
     found = [
         Picture(
@@ -328,6 +331,8 @@ def _profile_section(answer: Answer, pictures: bool) -> Section:
     )
     drawn = []
     if pictures:
+        from difffric import figures_fit
+
         caption = "Rise of chi-square; dashed: what the standard error says."
         drawn.append(
             Picture("profiles", caption, figures_fit.profiles(answer.fit, answer.profiles))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from difffric import figures_fleet
 from difffric.fleet import DATA_SET, Fleet
 from difffric.report import NO_STROKE, Picture, Report, Section, Table, number, rounded
 
@@ -88,6 +87,8 @@ def fleet_report(fleet: Fleet, answer: dict, pictures: bool) -> Report:
         if row["identified"]:
             days.setdefault(row["rig"], []).append(row)
     if days:
+        from difffric import figures_fleet
+
         drawn.append(
             Picture(
                 "mu_s_by_date",

@@ -7,9 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric import figures_fit
-from difffric.estimates import NONE, Estimate, Identified
-from difffric.figures_fit import WAYS
+from difffric.estimates import NONE, WAYS, Estimate, Identified
 from difffric.pushes import Pushes
 from difffric.recordings import Recordings
 from difffric.report import NO_STROKE, Picture, Report, Section, Table, number, rounded
@@ -93,6 +91,8 @@ def identify_report(
     velocity, order = _places(found, data)
     drawn = []
     if pictures:
+        from difffric import figures_fit
+
         drawn = [
             Picture(
                 "mu_s_ways",

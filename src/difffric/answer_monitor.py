@@ -9,7 +9,6 @@ from typing import NamedTuple
 from difffric.change_cause import Candidate, verdict
 from difffric.errors import InputError
 from difffric.evidence import CHANNELS, DIRECTIONS
-from difffric.figures_monitor import charts
 from difffric.monitor import Monitor
 from difffric.monitor_feed import Feed
 from difffric.monitor_records import Alarm, Seen
@@ -208,6 +207,8 @@ def monitor_report(feed: Feed, answer: dict, alarms: list[Explained], pictures: 
         lines.append(answer["stroke"])
     drawn = []
     if pictures:
+        from difffric.figures_monitor import charts
+
         drawn.append(
             Picture(
                 "monitor",

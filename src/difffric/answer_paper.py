@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from difffric import figures, parameters
+from difffric import parameters
 from difffric.answer_diagnose import considered_table
 from difffric.paper import Paper, misprints
 from difffric.report import NO_STROKE, Picture, Report, Section, Table, number, with_error
@@ -16,6 +16,8 @@ from difffric.units import to_mm, to_mm_min, to_um
 
 def paper_report(paper: Paper) -> Report:
     """The paper's measurements for a person."""
+    from difffric import figures
+
     return Report(
         "The paper's measurements, by equation (2)",
         _paper_summary(paper),
@@ -222,6 +224,8 @@ def _misprints_table() -> Table:
 
 
 def _paper_figures(paper: Paper) -> list[Picture]:
+    from difffric import figures
+
     speed = paper.pushes.velocity[3]
     push = {}
     for condition in ("DRY", "OILY"):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from difffric import figures_plan, parameters
+from difffric import parameters
 from difffric.errors import InputError
 from difffric.planning import SCATTER, Known, Plan, Step
 from difffric.report import Picture, Report, Section, Table, number
@@ -154,6 +154,8 @@ def plan_report(
     ]
     drawn = []
     if pictures:
+        from difffric import figures_plan
+
         drawn = [
             Picture(
                 "speeds",

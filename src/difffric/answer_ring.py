@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.figures_ring import ring_figure
 from difffric.report import Picture, Report, Section, Table, rounded
 from difffric.ring import Ring
 from difffric.units import to_mm, to_um
@@ -47,6 +46,8 @@ def ring_report(ring: Ring, angle: NDArray, radius: NDArray, pictures: bool = Tr
     text.append("A first harmonic of the ring's form cannot be told from an offset.")
     shown = []
     if pictures:
+        from difffric.figures_ring import ring_figure
+
         caption = "Deviation from the fitted radius, much enlarged; residuals; form."
         shown.append(Picture("ring", caption, ring_figure(angle, radius, ring)))
     return Report("Ring", summary, [Section("Offset", text, tables, shown)])

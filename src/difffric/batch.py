@@ -24,6 +24,7 @@ from difffric.derivatives import VELOCITY
 from difffric.errors import InputError, require_float64
 from difffric.native import in_one_piece
 from difffric.observables import observe
+from difffric.programs import own, program
 from difffric.push import Integrator
 from difffric.rig import Rig
 
@@ -133,7 +134,7 @@ class _Work:
             for line, row in zip(block, self.rows, strict=True):
                 line[:length] = row[start:stop] if row.size > 1 else row
                 line[length : length + _TILE] = line[0]  # a tile is done whole
-            found = call(length, self.fixed, block.reshape(len(block), -1, _TILE))
+            found = call([np.asarray(length), self.fixed, block.reshape(len(block), -1, _TILE)])
             for column, part in zip(self.columns, found, strict=True):
                 column[start:stop] = np.asarray(part).ravel()[:length]
 
@@ -189,9 +190,16 @@ def _program(structure, varying, names, tiles) -> _Program:
         return jax.lax.fori_loop(0, (length + _TILE - 1) // _TILE, step, empty)
 
     whole = in_one_piece(all_tiles) if _in_one_piece(rig, integrator) else all_tiles
-    example = 0, np.empty(len(fixed)), np.empty((1 + len(varying), tiles, _TILE))
-    compiled = jax.jit(whole, compiler_options=known_options(_OPTIONS)).lower(*example).compile()
-    return _Program(compiled, tuple(np.dtype(s.dtype) for s in shapes), tiles * _TILE)
+    options = known_options(_OPTIONS)
+    example = [np.asarray(0), np.empty(len(fixed)), np.empty((1 + len(varying), tiles, _TILE))]
+    call = None
+    if own((rig, integrator)):
+        key = ("observe_batch", str(structure), varying, names, tiles)
+        call = program(key, lambda given: whole(*given), example, options)
+    if call is None:
+        every = jax.jit(lambda given: whole(*given), compiler_options=options)
+        call = every.lower(example).compile()
+    return _Program(call, tuple(np.dtype(s.dtype) for s in shapes), tiles * _TILE)
 
 
 def _in_one_piece(rig, integrator) -> bool:

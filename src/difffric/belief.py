@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from difffric.errors import InputError
 
@@ -98,7 +98,7 @@ class Belief:
 def _normal(centre: float, deviation: float) -> NDArray:
     """A normal density on the grid; what is narrower than a step fills one."""
     at = (np.append(_LOG, _LOG[-1] + _STEP) - _STEP / 2 - centre) / max(deviation, 0.5 * _STEP)
-    weight = np.diff(ndtr(at))
+    weight = np.diff(scipy.special.ndtr(at))
     return weight / weight.sum() if weight.sum() > 0 else weight
 
 
@@ -107,7 +107,7 @@ def _blurred(weight: NDArray, deviation: float) -> NDArray:
         return weight
     half = min(int(np.ceil(6 * deviation / _STEP)), len(_LOG) // 2 - 1)
     edges = (np.arange(-half, half + 2) - 0.5) * _STEP
-    kernel = np.diff(ndtr(edges / deviation))
+    kernel = np.diff(scipy.special.ndtr(edges / deviation))
     out = np.convolve(weight, kernel, mode="same")
     return out * (weight.sum() / out.sum())
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 
 from difffric import parameters
@@ -39,12 +38,12 @@ def _silent(what: str, share: float) -> None:
 def rigs_of(rig: Rig, pushes: Pushes) -> Rig:
     """The rig spread over the pushes, each with its own mass and stroke where they say so."""
     rigs = parameters.spread(rig, len(pushes))
-    mass = jnp.where(jnp.isnan(pushes.mass), rigs.mass, pushes.mass)
+    mass = np.where(np.isnan(pushes.mass), rigs.mass, pushes.mass)
     rigs = parameters.with_values(rigs, {"mass_kg": mass})
     _, strokes = strokes_of(rig, pushes.stroke)
     if rig.pusher.stroke is None and np.isinf(strokes).all():
         return rigs
-    return parameters.with_stroke(rigs, jnp.asarray(strokes))
+    return parameters.with_stroke(rigs, np.asarray(strokes))
 
 
 def fit(

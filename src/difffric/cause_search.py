@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import stats
 
 from difffric import ensemble as en
 from difffric import refits
@@ -308,7 +308,9 @@ def _drop(score: Score | None) -> float:
 def p_value(effect: str, drop: float, effects: int) -> float:
     """Of so large a drop without any effect, all effects and looks counted (Bonferroni)."""
     looks = 1 if effect in LOCAL else _TRIALS
-    return float(min(1.0, stats.chi2.sf(max(drop, 0.0), len(numbers_of(effect))) * looks * effects))
+    return float(
+        min(1.0, scipy.stats.chi2.sf(max(drop, 0.0), len(numbers_of(effect))) * looks * effects)
+    )
 
 
 def _promised(task: Task, fits: Fits) -> tuple[NDArray, NDArray]:

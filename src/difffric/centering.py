@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from difffric.belief import Belief
 from difffric.errors import InputError
@@ -123,7 +123,7 @@ class _Loop:
         """The probability that the centre is within the tolerance."""
         e, s = self.distance
         s = max(s, 1e-12)
-        return float(ndtr((within - e) / s) - ndtr((-within - e) / s))
+        return float(scipy.special.ndtr((within - e) / s) - scipy.special.ndtr((-within - e) / s))
 
 
 def centre(
@@ -167,7 +167,7 @@ def centre(
             reason = f"not centred after {most} pushes"
             break
         # A push cannot land more surely than it is known where it starts.
-        if not measured and 2 * ndtr(known.within / deviation) - 1 < 0.5 * (1 + sure):
+        if not measured and 2 * scipy.special.ndtr(known.within / deviation) - 1 < 0.5 * (1 + sure):
             loop.measure()
             measured = True
             continue

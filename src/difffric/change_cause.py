@@ -15,8 +15,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.stats import f
 
 from difffric import effects, parameters
 from difffric.compiling import soon_compiled
@@ -186,7 +186,7 @@ class _Data:
     def chance(self, left: float, fitted: int) -> float:
         """p-value of a chi-square that is left."""
         free = max(self.numbers - fitted, 1)
-        return float(f.sf(left / free, free, self.count))
+        return float(scipy.stats.f.sf(left / free, free, self.count))
 
     def product(self, a, b) -> float:
         """Of two pairs of (n,) vectors, over the covariance."""

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from difffric import cli_use as cli_use  # its commands are the app's too
+from difffric import own_folder
 from difffric.cli_fleet import Archive, FleetSetup, Scheduler, Workers, identify_many, is_fleet
 from difffric.cli_parts import (
     Data,
@@ -61,8 +62,13 @@ def _prepare_jax() -> None:
     # Equinox's error callbacks would keep programs out of the cache; failures come as NaN and
     # with a reason here.
     os.environ.setdefault("EQX_ON_ERROR", "nan")
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "difffric" / "jax"
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "difffric"
+    os.environ.setdefault("DIFFFRIC_PROGRAMS", str(cache / "programs"))
+    folder = Path(os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache / "jax")))
+    if folder.name and own_folder.made(folder):
+        own_folder.swept(folder)
+    elif os.environ.pop("JAX_COMPILATION_CACHE_DIR"):
+        sys.stderr.write(f"difffric: {folder}: {own_folder.REFUSED}: JAX's cache is not used\n")
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
     os.environ.setdefault("JAX_PLATFORMS", "cpu")

@@ -3,38 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache, cached_property, update_wrapper
+from functools import cache
 from typing import Any
 
-import equinox as eqx
 import jax
+
+from difffric.programs import kept
 
 _OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
 """XLA's newer code generator for fused loops takes most of the time that a large program needs
 to compile, and 0.5 GB."""
 
 
-class soon_compiled:
-    """`equinox.filter_jit` for a program whose first call counts more than each of the next.
+def soon_compiled(function: Callable) -> kept:
+    """`kept`, for a program whose first call counts more than each of the next.
 
-    With a jaxlib that does not know the option it is `filter_jit` alone.
+    With a jaxlib that does not know the option it is `kept` alone.
     """
-
-    def __init__(self, function: Callable):
-        self._function = function
-        update_wrapper(self, function)
-
-    @cached_property
-    def _program(self):
-        jit: Any = eqx.filter_jit
-        return jit(self._function, compiler_options=known_options(_OPTIONS))
-
-    def __call__(self, *args):
-        return self._program(*args)
-
-    def lower(self, *args):
-        """The program for these arguments, traced: `.compile()` makes it ready for later calls."""
-        return self._program.lower(*args)
+    return kept(function, lambda: known_options(_OPTIONS))
 
 
 def known_options(options: dict[str, Any]) -> dict[str, Any] | None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +11,7 @@ from jax.core import Tracer
 
 from difffric import parameters
 from difffric.observables import Observables, observe
+from difffric.programs import kept
 from difffric.rig import Rig
 
 VELOCITY = "velocity_m_per_s"
@@ -71,7 +71,7 @@ def _directional(rig, point, direction, integrator):
     return dF, jnp.where(jnp.isnan(seen.sliding_distance), jnp.nan, dd), seen
 
 
-_directional_jit = eqx.filter_jit(_directional)
+_directional_jit = kept(_directional)
 
 
 class Margin(NamedTuple):

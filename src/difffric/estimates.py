@@ -11,8 +11,15 @@ from numpy.typing import NDArray
 
 from difffric.units import to_mm_min
 
-WAYS = ("mu_s_force", "mu_s_distance", "mu_s_weighted", "mu_s_optimal", "mu_s_slide", "mu_s_trace")
-"""The ways to mu_s, as results name them."""
+WAYS = {
+    "mu_s_force": "force",
+    "mu_s_distance": "distance",
+    "mu_s_weighted": "equation (7)",
+    "mu_s_optimal": "optimal",
+    "mu_s_slide": "free slide",
+    "mu_s_trace": "whole recording",
+}
+"""The ways to mu_s, as results name them, and in words."""
 
 
 @dataclass(frozen=True)

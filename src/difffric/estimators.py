@@ -18,11 +18,11 @@ from difffric.compiling import soon_compiled
 from difffric.coordinates import LINEAR
 from difffric.data_checks import checked_data
 from difffric.estimates import NONE, Estimate, Identified, PushFriction
-from difffric.families import family
+from difffric.families import MU_S, SPEEDS_MM_MIN
 from difffric.fit_data import sensor_errors
 from difffric.fitted import Fit
-from difffric.inversion import BRACKET, Inversion, invert, model_at
-from difffric.observables import observe
+from difffric.inversion import BRACKET, Inversion, both_at, invert, model_at
+from difffric.observables import observe, regime_of
 from difffric.parameters import pick
 from difffric.push import REGIMES, default_integrator
 from difffric.pushes import Pushes
@@ -33,6 +33,7 @@ from difffric.setup_file import Setup, checked
 from difffric.slide_friction import slide_friction
 from difffric.surrogate import weighted
 from difffric.trace_friction import trace_friction
+from difffric.units import from_mm_min
 
 
 @dataclass(frozen=True)
@@ -150,7 +151,7 @@ def _inverted(known, rigs, pushes, roots, range_ratio, options) -> list[PushFric
     """Force, distance, (7) and the optimum of every push."""
     integrator = options["integrator"]
     if range_ratio is None:
-        range_ratio = family(known.rig, integrator=integrator).range_ratio
+        range_ratio = range_ratio_of(known.rig, integrator)
     velocity = pushes.velocity
     force = invert(rigs, velocity, pushes.peak_force, "peak_force", **options)
     distance = invert(rigs, velocity, pushes.sliding_distance, "sliding_distance", **options)
@@ -172,6 +173,14 @@ def _inverted(known, rigs, pushes, roots, range_ratio, options) -> list[PushFric
         )
         for i in range(len(pushes))
     ]  # fmt: skip
+
+
+def range_ratio_of(rig: Rig, integrator) -> float:
+    """Delta F / Delta d of equation (7) [N/m], as `Family.range_ratio`, over the paper's range."""
+    v, mu_s = (x.ravel() for x in np.meshgrid(from_mm_min(SPEEDS_MM_MIN), MU_S, indexing="ij"))
+    rigs = parameters.spread(rig, mu_s.size)
+    (F, d), _, _ = both_at(rigs, v, mu_s, integrator)
+    return float(np.ptp(F) / (np.nanmax(d) - np.nanmin(d)))
 
 
 def _estimate(value, error, shared) -> Estimate:
@@ -337,7 +346,11 @@ def around(rigs, pushes, force, distance, free, integrator):
     points = np.stack([*mu, middle], axis=1)
     points = np.where(np.isfinite(points) & (points > 0), points, 0.1).ravel()
     which = np.repeat(np.arange(n), 3)
-    _, gradient, regime = _at(pick(rigs, which), pushes.velocity[which], points, free, integrator)
+    here = pick(rigs, which), pushes.velocity[which], points
+    if free:
+        _, gradient, regime = _at(*here, free, integrator)
+    else:  # the program that has looked for the roots serves again
+        gradient, regime = np.empty(0), regime_of(both_at(*here, integrator)[2])
     gradient = np.asarray(gradient).reshape(n, 3, 2, len(free))
     regime = np.asarray(regime).reshape(n, 3)[:, 2]
     names = [REGIMES[int(r)] if k else None for r, k in zip(regime, known, strict=True)]

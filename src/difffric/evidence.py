@@ -15,8 +15,8 @@ much it is above follows from the overshoot (Siegmund, Sequential Analysis, 1985
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, logsumexp
 
 SIZES = (0.5, 1.0, 2.0)
 """Changes of the mean that are looked for [standard deviations]: drifts to large steps."""
@@ -45,12 +45,12 @@ def updated(log_R: NDArray, z: NDArray) -> NDArray:
 
 def by_direction(log_R: NDArray) -> NDArray:
     """(..., directions) logarithms of each direction's share of the statistic."""
-    return logsumexp(log_R, axis=-1) - np.log(_DELTA.size)
+    return scipy.special.logsumexp(log_R, axis=-1) - np.log(_DELTA.size)
 
 
 def total(log_R: NDArray) -> NDArray:
     """(...) logarithm of the statistic."""
-    return logsumexp(log_R, axis=(-2, -1)) - np.log(_DELTA.size)
+    return scipy.special.logsumexp(log_R, axis=(-2, -1)) - np.log(_DELTA.size)
 
 
 def overshoot(delta: float) -> float:
@@ -58,7 +58,7 @@ def overshoot(delta: float) -> float:
     delta: 2 / delta^2 exp(-2 sum_n Phi(-delta sqrt(n) / 2) / n), about exp(-0.583 delta)
     (Siegmund 1985, 4.37)."""
     n = np.arange(1.0, 10.0 + 400.0 / delta**2)  # beyond, Phi is below 1e-22
-    terms = np.exp(log_ndtr(-0.5 * delta * np.sqrt(n))) / n
+    terms = np.exp(scipy.special.log_ndtr(-0.5 * delta * np.sqrt(n))) / n
     return float(2.0 / delta**2 * np.exp(-2.0 * terms.sum()))
 
 

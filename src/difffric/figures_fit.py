@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from difffric.estimates import Identified
+from difffric.estimates import WAYS, Identified
 from difffric.figures import STYLE, colours_of, new_figure
 from difffric.fitted import Fit
 from difffric.fitted_curves import FittedPushes, FittedTrace, fitted_family
@@ -18,15 +18,6 @@ from difffric.profiles import Profile
 from difffric.units import to_mm_min, to_um
 
 _MARKERS = "osD^vP"
-WAYS = {
-    "mu_s_force": "force",
-    "mu_s_distance": "distance",
-    "mu_s_weighted": "equation (7)",
-    "mu_s_optimal": "optimal",
-    "mu_s_slide": "free slide",
-    "mu_s_trace": "whole recording",
-}
-"""The ways to mu_s, in words."""
 _TITLES = {
     "mu_s_force": "from the force",
     "mu_s_distance": "from the distance",

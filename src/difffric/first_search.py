@@ -10,9 +10,8 @@ from dataclasses import replace
 
 import jax
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtri
-from scipy.stats import qmc
 
 from difffric import parameters
 from difffric.compiling import soon_compiled
@@ -162,10 +161,12 @@ def _about_the_forces(model: Model, data: FitData, box: list[NDArray]) -> NDArra
     X = X / _WIDER**2 + np.eye(int(free.sum())) / _WEAK**2
     spread = np.linalg.cholesky(np.linalg.inv(X))
     n = _POOL - len(box)
-    u = qmc.Sobol(layout.n_free, scramble=False).random_base2(int(np.ceil(np.log2(n + 1))))
+    u = scipy.stats.qmc.Sobol(layout.n_free, scramble=False).random_base2(
+        int(np.ceil(np.log2(n + 1)))
+    )
     u = u[1 : n + 1]  # the first is the origin
     theta = np.tile(best.theta, (len(u), 1))
-    theta[:, free] += ndtri(np.clip(u[:, free], 1e-4, 1 - 1e-4)) @ spread.T
+    theta[:, free] += scipy.special.ndtri(np.clip(u[:, free], 1e-4, 1 - 1e-4)) @ spread.T
     theta[:, held] = _most_viscous(model, data) * u[:, held] ** 1.5
     return theta
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import stats
 
 from difffric import parameters
 from difffric.fit_data import RECORDINGS, FitData
@@ -122,7 +122,7 @@ def _notes(data: FitData, at: Settled, freedom: int, reduction: Reduction | None
         chi2 = at.components.chi2
         sigma = np.sqrt(_variance(freedom, reduction))
         by_noise = chi2 / freedom - 1 > _SURPRISING * sigma / freedom
-        if stats.chi2.sf(chi2, freedom) < 1e-3 and by_noise:
+        if scipy.stats.chi2.sf(chi2, freedom) < 1e-3 and by_noise:
             notes.append(
                 f"chi-square is {chi2 / freedom:.3g} times what the noise explains: the model "
                 "lacks something, the noise is larger than said, or this is not the optimum"

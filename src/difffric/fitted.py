@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import stats
 
 from difffric import parameters
 from difffric.coordinates import slope, to_value
@@ -127,7 +127,7 @@ class Fit:
         variance = self.covariance[i, i]
         if label in self.held and variance == 0:
             return None
-        half = stats.t.ppf(0.5 + level / 2, self.freedom[i]) * np.sqrt(variance)
+        half = scipy.stats.t.ppf(0.5 + level / 2, self.freedom[i]) * np.sqrt(variance)
         centre = self.theta[i] + self.ahead[i]
         low, high = (float(to_value(self.names[i], centre + s * half)) for s in (-1, 1))
         if label in self.held:

@@ -18,8 +18,13 @@ from numpy.typing import NDArray
 from difffric.calibration import rigs_of
 from difffric.coordinates import LINEAR
 from difffric.errors import require_float64
-from difffric.estimators import Calibration, around, root_of, supported_by_force
-from difffric.families import family
+from difffric.estimators import (
+    Calibration,
+    around,
+    range_ratio_of,
+    root_of,
+    supported_by_force,
+)
 from difffric.fit_data import sensor_errors
 from difffric.inversion import BRACKET, invert
 from difffric.parameters import pick
@@ -85,7 +90,7 @@ def _of_one_kind(parts: Sequence[tuple[Setup, Pushes]]) -> pl.DataFrame:
     which = np.repeat(np.arange(len(parts)), [len(p) for _, p in parts])
     roots = np.stack([root_of(x.of("")[1]) for x in known])
     integrator = default_integrator(known[0].rig)
-    ratio = np.array([family(x.rig, integrator=integrator).range_ratio for x in known])
+    ratio = np.array([range_ratio_of(x.rig, integrator) for x in known])
     sensor = np.array([sensor_errors(x.rig) for x in known], float)
     return _columns(rigs, pushes, names, roots[which], ratio[which], sensor[which], integrator)
 

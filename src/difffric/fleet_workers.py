@@ -15,8 +15,10 @@ ONE_THREAD = {
     "MKL_NUM_THREADS": "1",
     "POLARS_MAX_THREADS": "1",
     "NPROC": "1",  # XLA's thread pool
+    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "1e9",  # a kill would leave it half-written
 }
-"""A worker's surroundings: as many workers as cores, each on one of them."""
+"""A worker's surroundings: as many workers as cores, each on one of them. JAX's cache it only
+reads."""
 _LIVES = 10
 """How often a task may lose its worker before it is taken to be the one that kills it."""
 

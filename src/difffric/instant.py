@@ -14,8 +14,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from difffric.bracketed_newton import solve
 from difffric.errors import InputError, require_float64
-from difffric.inversion import BRACKET, solve
+from difffric.inversion import BRACKET
 from difffric.native import in_one_piece
 from difffric.rig import Rig
 

@@ -8,19 +8,19 @@ mu_s and one bracket is enough; with a stroke the model is scanned for the cross
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from typing import Literal
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 
 from difffric import parameters
 from difffric.errors import InputError
 from difffric.observables import observe
 from difffric.parameters import pick
+from difffric.programs import kept
 from difffric.rig import Rig
+from difffric.roots import HIT
 from difffric.units import to_um
 
 Quantity = Literal["peak_force", "sliding_distance"]
@@ -31,101 +31,8 @@ BRACKET = (1e-3, 2.0)
 FLAT = 1e-12
 """A relative derivative below this determines nothing."""
 
-_HIT = 1e-14
-"""A relative excess below this is none: where the model is flat there is no better."""
-
 _GRID, _CHILDREN, _LEVELS = 96, 12, 6
 _CHUNK = 256
-
-
-class _Search(eqx.Module):
-    lower: jax.Array
-    upper: jax.Array
-    step: jax.Array
-    slope: jax.Array
-    arrived: jax.Array
-
-
-class BracketedNewton(optx.AbstractRootFinder):
-    """Newton's iteration for a scalar function that changes sign once in a bracket.
-
-    A step that leaves the bracket, or starts where the function is flat, is replaced by
-    bisection, so it cannot diverge. Options: `lower` and `upper`, as for
-    `optimistix.Bisection`, and `rising`, whether the function is negative below the root.
-    """
-
-    atol: float = 1e-15
-    rtol: float = 0.0
-    norm: Any = jnp.abs
-
-    def init(self, fn, y, args, options, f_struct, aux_struct, tags):
-        lower, upper = (jnp.asarray(options[key], float) for key in ("lower", "upper"))
-        nothing = jnp.asarray(jnp.nan)
-        return _Search(lower, upper, jnp.asarray(jnp.inf), nothing, jnp.asarray(False))
-
-    def step(self, fn, y, args, options, state, tags):
-        (value, aux), (slope, _) = jax.jvp(lambda at: fn(at, args), (y,), (jnp.ones_like(y),))
-        below = (value < 0) == options["rising"]
-        lower = jnp.where(below, y, state.lower)
-        upper = jnp.where(below, state.upper, y)
-        flat = (slope == 0) | ~jnp.isfinite(slope)
-        new = y - value / jnp.where(flat, 1.0, slope)
-        step = jnp.abs(new - y)
-        inside = ~flat & (new >= lower) & (new <= upper)
-        # Newton's error is quadratic in its step: after one this small, nothing is left to do.
-        arrived = ~flat & ((inside & (step < 1e-9)) | (step <= 4e-16 * jnp.abs(y)))
-        hit = jnp.abs(value) <= _HIT
-        new = jnp.where(hit, y, jnp.where(inside | arrived, new, 0.5 * (lower + upper)))
-        arrived = arrived | hit
-        last = jnp.where(arrived, 0.0, jnp.abs(new - y))
-        return new, _Search(lower, upper, last, slope, arrived), aux
-
-    def terminate(self, fn, y, args, options, state, tags):
-        done = state.step <= self.atol + self.rtol * jnp.abs(y)
-        return done, optx.RESULTS.successful
-
-    def postprocess(self, fn, y, aux, args, options, state, tags, result):
-        return y, aux, {}
-
-
-class Root(NamedTuple):
-    """Where the bracketed Newton iteration ended."""
-
-    mu_s: jax.Array
-    slope: jax.Array
-    """derivative of the quantity by mu_s [N or m], to 1e-9"""
-    solved: jax.Array
-    """whether the quantity takes the target's value there"""
-
-
-def solve(rig: Rig, velocity, target, by_force, bracket, rising, integrator=None) -> Root:
-    """The mu_s in the bracket at which F_p (where `by_force`) or d takes the value `target`
-    [N or m].
-
-    Traceable; by_force and rising (whether the quantity grows with mu_s there) too, so that one
-    program serves both quantities. Where the quantity does not exist it counts as less than
-    any target.
-    """
-    lower, upper = jnp.log(bracket[0]), jnp.log(bracket[1])
-
-    def excess(log_mu_s, _):
-        mu_s = jnp.exp(log_mu_s)
-        seen = observe(parameters.with_values(rig, {"mu_s": mu_s}), velocity, integrator)
-        ratio = jnp.where(by_force, seen.peak_force, seen.sliding_distance) / target
-        # d is close to a power of mu_s, F_p to a straight line: each its own scale for Newton.
-        value = jnp.where(by_force, ratio - 1.0, jnp.log(jnp.where(by_force, 1.0, ratio)))
-        return jnp.where(jnp.isnan(ratio), -1.0, value)
-
-    solution = optx.root_find(
-        excess,
-        BracketedNewton(),
-        0.5 * (lower + upper),
-        options={"lower": lower, "upper": upper, "rising": rising},
-        max_steps=200,
-        throw=False,
-    )
-    mu_s, end = jnp.exp(solution.value), solution.state
-    return Root(mu_s, end.slope * target / mu_s, end.arrived)
 
 
 @dataclass(frozen=True)
@@ -163,7 +70,7 @@ def invert(
     velocity, target = velocity.astype(float), target.astype(float)
     n = len(target)
     try:
-        rigs = jax.tree.map(np.asarray, parameters.spread(rigs, n))  # JAX's are slow to index
+        rigs = parameters.spread(rigs, n)
     except ValueError as error:
         raise InputError(
             f"invert: the rig's numbers must be one value or {n}, one a push"
@@ -250,15 +157,17 @@ def _in_chunks(function, arrays, n):
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:n], *parts)
 
 
-@eqx.filter_jit
+@kept
 def _solve_batch(rigs, velocity, target, by_force, bracket, rising, integrator):
+    from difffric.bracketed_newton import solve  # here, as a kept program needs no optimistix
+
     def one(rig, velocity, target, bracket, rising):
         return solve(rig, velocity, target, by_force, bracket, rising, integrator)
 
     return jax.vmap(one)(rigs, velocity, target, bracket, rising)
 
 
-def _solve_many(rigs, velocity, target, bracket, rising, quantity, integrator) -> Root:
+def _solve_many(rigs, velocity, target, bracket, rising, quantity, integrator):
     by_force = jnp.asarray(quantity == "peak_force")
 
     def batch(rigs, velocity, target, bracket, rising):
@@ -267,7 +176,7 @@ def _solve_many(rigs, velocity, target, bracket, rising, quantity, integrator) -
     return _in_chunks(batch, (rigs, velocity, target, bracket, rising), len(target))
 
 
-@eqx.filter_jit
+@kept
 def _model_batch(rigs, velocity, mu_s, integrator):
     def one(rig, velocity, mu_s):
         def measured(value):
@@ -279,18 +188,23 @@ def _model_batch(rigs, velocity, mu_s, integrator):
     return jax.vmap(one)(rigs, velocity, mu_s)
 
 
+def both_at(rigs, velocity, mu_s, integrator):
+    """(F_p, d), their derivatives by mu_s, and the kind, of n pushes, (n,) each."""
+
+    def batch(rigs, velocity, mu_s):
+        return _model_batch(rigs, velocity, mu_s, integrator)
+
+    return _in_chunks(batch, (rigs, velocity, mu_s), mu_s.size)
+
+
 def model_at(rigs, velocity, log_mu_s, quantity, integrator):
     """(value, derivative by log mu_s, kind), each (n, m), of the quantity of n pushes at rows of
     log mu_s (n, m). One compiled program serves all shapes."""
     rows, columns = log_mu_s.shape
     which = np.repeat(np.arange(rows), columns)
-    mu_s = np.exp(log_mu_s.ravel())
-    arrays = (*pick((rigs, velocity), which), mu_s)
-
-    def batch(rigs, velocity, mu_s):
-        return _model_batch(rigs, velocity, mu_s, integrator)
-
-    values, slopes, kind = _in_chunks(batch, arrays, mu_s.size)
+    rigs, velocity = pick((rigs, velocity), which)
+    found = both_at(rigs, velocity, np.exp(log_mu_s.ravel()), integrator)
+    values, slopes, kind = found
     which = ("peak_force", "sliding_distance").index(quantity)
     value, slope, kind = (a.reshape(rows, columns) for a in (values[which], slopes[which], kind))
     return value, slope * np.exp(log_mu_s), kind
@@ -345,7 +259,7 @@ def _crossings(rigs, velocity, target, quantity, bracket, integrator):
         dips = exists & (a * b > 0) & (a * sa < 0) & (b * sb > 0)
         edge = (kind[:, :-1] != kind[:, 1:]) & (np.isfinite(a) | np.isfinite(b))
         divide = (edge | dips) if level < _LEVELS - 1 else np.zeros_like(edge)
-        for row, column in np.argwhere(np.abs(excess) <= _HIT):
+        for row, column in np.argwhere(np.abs(excess) <= HIT):
             point = points[row, column]
             found.append((which[row], point, point, True))
         for row, column in np.argwhere(crosses & ~divide):

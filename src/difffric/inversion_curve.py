@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric import parameters
+from difffric.bracketed_newton import solve
 from difffric.compiling import soon_compiled
-from difffric.inversion import BRACKET, Inversion, Quantity, answer_of, solve
+from difffric.inversion import BRACKET, Inversion, Quantity, answer_of
 from difffric.observables import observe
 from difffric.rig import Rig
 

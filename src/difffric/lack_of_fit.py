@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import stats
 
 from difffric.ensemble import Fits, Task
 
@@ -54,7 +54,7 @@ def lack_of_fit(task: Task, fits: Fits) -> LackOfFit:
     if not recordings:
         total = float(chi2.sum() + ((fits.own[0] / fits.scatter[0]) ** 2).sum())
         freedom = max(numbers - fitted, 1.0)
-        return LackOfFit(float(stats.chi2.sf(total, freedom)), excess, float(expected), chi2)
+        return LackOfFit(float(scipy.stats.chi2.sf(total, freedom)), excess, float(expected), chi2)
     there = np.stack([blocks.a > 0 for blocks in task.model.pushes.data], axis=1)
     total, count = 0.0, 0
     for i in range(task.n):
@@ -65,4 +65,4 @@ def lack_of_fit(task: Task, fits: Fits) -> LackOfFit:
                     total += part.sum() ** 2 / len(part)
                     count += 1
     freedom = max(count - fitted - own - zeros, 1)
-    return LackOfFit(float(stats.chi2.sf(total, freedom)), excess, float(expected), chi2)
+    return LackOfFit(float(scipy.stats.chi2.sf(total, freedom)), excess, float(expected), chi2)

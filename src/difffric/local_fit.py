@@ -13,8 +13,8 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from difffric.noise import Noise, whitening
 from difffric.recordings import Channel
@@ -151,7 +151,9 @@ def sizes(least: int, most: int, ratio: float = 1.45) -> list[int]:
 def _significance(higher, rest, extra: int, free) -> NDArray:
     """The highest of `_LEVELS` at which the higher terms' chi-square `higher`, of `extra` degrees
     of freedom, and the remainder's `rest`, of `free`, are no surprise; 0 where there is none."""
-    p_value = np.minimum(chdtrc(extra, higher), 30 * chdtrc(np.maximum(free, 1), rest))
+    p_value = np.minimum(
+        scipy.special.chdtrc(extra, higher), 30 * scipy.special.chdtrc(np.maximum(free, 1), rest)
+    )
     return np.select([p_value > level for level in _LEVELS], _LEVELS, 0.0)
 
 

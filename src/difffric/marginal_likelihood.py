@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, logsumexp
 
 from difffric.first_search import BATCH, answers, residuals
 from difffric.fit_data import FitData
@@ -57,9 +57,9 @@ def _log_integral(grid: NDArray, r: NDArray) -> NDArray:
     # The tail in which both ends are small in absolute size loses no digits.
     left, right = np.where(low > 0, -high, low), np.where(low > 0, -low, high)
     with np.errstate(divide="ignore", invalid="ignore"):
-        tail = np.minimum(log_ndtr(left) - log_ndtr(right), -1e-16)
-        inside = log_ndtr(right) + np.log(-np.expm1(tail))
+        tail = np.minimum(scipy.special.log_ndtr(left) - scipy.special.log_ndtr(right), -1e-16)
+        inside = scipy.special.log_ndtr(right) + np.log(-np.expm1(tail))
         log = np.log(width / bend) + 0.5 * (low**2 - np.sum(a**2, axis=2)) + inside
     # (SciPy's annotation says that two numbers may come back; only one does.)
-    total: Any = logsumexp(np.where(np.isfinite(log), log, -np.inf), axis=0)
+    total: Any = scipy.special.logsumexp(np.where(np.isfinite(log), log, -np.inf), axis=0)
     return np.maximum(total, _NOTHING)

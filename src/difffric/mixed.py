@@ -14,20 +14,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import minimize as scipy_minimize
 
-from difffric.arrow import Arrow
 from difffric.compiling import soon_compiled
+from difffric.programs import kept
 
 Array = Any  # NumPy's outside a compiled program, JAX's within
 
 MAX_STEPS = 60
-STEP = 1e-7
-"""A step smaller than this in every coordinate is none."""
-REFUSALS = 10
-"""Refused steps in a row after which a search has arrived."""
 PADDING = 16
 """Pushes are padded to multiples of this, and free parameters of half of it: few shapes, few
 compilations."""
@@ -97,7 +92,7 @@ def coordinates(problem: Problem, point: Point):
     return c
 
 
-@eqx.filter_jit
+@kept
 def _respond(problem: Problem, point: Point):
     def one(push, c):
         return push.respond(problem.rig, problem.integrator, c)
@@ -132,29 +127,18 @@ def _stacked(problem: Problem, point: Point, rows):
     return jax.tree.map(lambda part: problem.trust * part, parts)
 
 
-class _LevenbergMarquardt(optx.LevenbergMarquardt):
-    """Optimistix's, which also stops after `args` steps, and where it would go on for nothing:
-    at an optimum to rounding, whose next step is none, and at a jump of the model, where step
-    after step is refused."""
-
-    def terminate(self, fn, y, args, options, state, tags):
-        stop, result = super().terminate(fn, y, args, options, state, tags)
-        refused = state.num_steps_since_acceptance >= REFUSALS
-        step = jax.tree.map(
-            lambda new, old: jnp.max(jnp.abs(new - old), initial=0.0), state.y_eval, y
-        )
-        nothing = (jnp.max(jnp.stack(jax.tree.leaves(step))) < STEP) & (state.num_steps > 0)
-        return stop | refused | nothing | (state.num_steps >= args), result
-
-
 def _minimise(problem: Problem, start: Point, steps) -> End:
     """The conditional mode near `start`, by optimistix's Levenberg-Marquardt, after `steps`
     steps at most."""
+    import optimistix as optx  # here, as a kept program needs none of it
+
+    from difffric.levenberg_marquardt import LevenbergMarquardt
+
     # Traced once for all the places in which the solver calls it.
     respond = eqx.filter_closure_convert(lambda point: _respond(problem, point), start)
     solution = optx.least_squares(
         lambda point, _: _residuals(problem, point, respond),
-        _LevenbergMarquardt(rtol=1e-8, atol=1e-7, linear_solver=Arrow()),  # pyright: ignore
+        LevenbergMarquardt(),
         start,
         args=steps,
         has_aux=True,
@@ -167,7 +151,7 @@ def _minimise(problem: Problem, start: Point, steps) -> End:
     return End(point, rows, model, jumps, chi2, solution.stats["num_steps"])
 
 
-minimise = eqx.filter_jit(_minimise)
+minimise = kept(_minimise)
 minimise_soon = soon_compiled(_minimise)
 
 
@@ -291,7 +275,9 @@ def components(
         starts = [guess]
         if estimate and search:
             starts += [np.array([x, *guess[1:]]) for x in np.log([1e-5, 0.01, 0.1])]
-        found = [scipy_minimize(objective, x, method="L-BFGS-B", bounds=limits) for x in starts]
+        found = [
+            scipy.optimize.minimize(objective, x, method="L-BFGS-B", bounds=limits) for x in starts
+        ]
         best = min(found, key=lambda f: f.fun).x
     s, spread = unpack(best)
     criterion, X, Xr, rr = model.criterion(s, spread)

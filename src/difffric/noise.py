@@ -11,10 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
-from scipy.optimize import minimize_scalar
-from scipy.special import chdtri
 
 from difffric.errors import InputError
 from difffric.recordings import Channel, Recordings
@@ -135,7 +133,7 @@ def noise_of(stretches: Iterable[ArrayLike]) -> Noise:
         lost = np.sum(np.log(information)) - len(arrays) * np.log(1 - phi**2)
         return freedom * np.log(rest) + lost
 
-    best: Any = minimize_scalar(criterion, bounds=(-_MOST, _MOST), method="bounded")
+    best: Any = scipy.optimize.minimize_scalar(criterion, bounds=(-_MOST, _MOST), method="bounded")
     phi = float(best.x)
     if abs(phi) * np.sqrt(n) < _SIGNIFICANT:
         phi = 0.0
@@ -149,7 +147,7 @@ def difference_noise(samples: ArrayLike) -> Noise:
     The median ignores jumps. Correlated noise shows only in part, so `n` is 0: a last resort.
     """
     third = np.diff(np.asarray(samples, float), 3)
-    level = float(np.median(np.abs(third))) / (stats.norm.ppf(0.75) * np.sqrt(20.0))
+    level = float(np.median(np.abs(third))) / (scipy.stats.norm.ppf(0.75) * np.sqrt(20.0))
     return Noise(level, 0.0, 0)
 
 
@@ -184,7 +182,7 @@ def still_at_end(samples: ArrayLike, noise: Noise) -> int:
         s = np.linspace(-1.0, 1.0, size)
         columns = np.stack([np.ones(size), s, s * s - 1 / 3, samples[-size:] - samples[-1]], 1)
         r = np.linalg.qr(whitening(np.arange(size), noise)(columns))[1]
-        return bool(r[1, 3] ** 2 + r[2, 3] ** 2 < chdtri(2, 1e-5))
+        return bool(r[1, 3] ** 2 + r[2, 3] ** 2 < scipy.special.chdtri(2, 1e-5))
 
     found, size = 0, 8
     while size <= len(samples) and still(size):
@@ -249,4 +247,4 @@ def ljung_box(residuals: ArrayLike, lags: int = 10, fitted: int = 0) -> float:
     r = r - r.mean()
     n, k = len(r), np.arange(1, lags + 1)
     rho = np.array([r[j:] @ r[:-j] for j in k]) / (r @ r)
-    return float(stats.chi2.sf(n * (n + 2) * np.sum(rho**2 / (n - k)), lags - fitted))
+    return float(scipy.stats.chi2.sf(n * (n + 2) * np.sum(rho**2 / (n - k)), lags - fitted))

@@ -6,14 +6,16 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
+from numpy.typing import NDArray
 
 from difffric import parameters
 from difffric import push as sim
 from difffric.march import Marcher
 from difffric.march_state import March
+from difffric.programs import kept
 from difffric.rig import Rig
 from difffric.runge_kutta import RungeKutta
 
@@ -59,7 +61,7 @@ def observe(rig: Rig, velocity, integrator: sim.Integrator | None = None) -> Obs
     return _observed(parameters.as_arrays(push))
 
 
-@eqx.filter_jit
+@kept
 def _observed(push: sim.Push) -> Observables:
     if isinstance(push.integrator, RungeKutta):
         marcher = push.integrator.marcher(push.rig, push.velocity)
@@ -117,7 +119,12 @@ def _kind(regime, stuck_first, *counts):
     kind = regime + 4 * stuck_first
     for count in counts:
         kind = kind * 1024 + count
-    return kind
+    return kind  # of three counts: 30 bits
+
+
+def regime_of(kind: NDArray) -> NDArray:
+    """The regime that a kind says."""
+    return (np.asarray(kind) >> 30) % 4
 
 
 def observables(push: sim.Push, state: sim.State) -> Observables:

@@ -83,10 +83,10 @@ def as_arrays(tree: Any) -> Any:
 
 
 def spread(rig: Rig, n: int) -> Rig:
-    """n copies of a rig in one, every number an array of that length, to be vmapped over."""
+    """n copies of a rig in one, every number a NumPy array of that length, to be vmapped over."""
 
     def copies(leaf):
-        return jnp.broadcast_to(jnp.asarray(leaf, float), (n,))
+        return np.broadcast_to(np.asarray(leaf, float), (n,))
 
     return jax.tree.map(copies, rig)
 

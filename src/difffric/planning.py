@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from difffric import parameters
 from difffric.belief import Belief
@@ -243,12 +243,12 @@ def landed(landing: NDArray, sigma, within: float) -> NDArray:
     def below(edge):  # the mean of Phi((edge - x) / s) over x from a to b
         u, v = (edge - a) / s, (edge - b) / s
         mean = (_ramp(u) - _ramp(v)) / np.where(narrow, 1.0, u - v)
-        return np.where(narrow, ndtr(0.5 * (u + v)), mean)
+        return np.where(narrow, scipy.special.ndtr(0.5 * (u + v)), mean)
 
     inside = below(within) - below(-within)
     tails = [_SHARES[0], 1 - _SHARES[-1]]
     ends = [
-        ndtr((within - x) / s[..., 0]) - ndtr((-within - x) / s[..., 0])
+        scipy.special.ndtr((within - x) / s[..., 0]) - scipy.special.ndtr((-within - x) / s[..., 0])
         for x in (landing[..., 0], landing[..., -1])
     ]
     return inside @ share + tails[0] * ends[0] + tails[1] * ends[1]
@@ -256,7 +256,7 @@ def landed(landing: NDArray, sigma, within: float) -> NDArray:
 
 def _ramp(u):
     """The integral of the normal distribution from -infinity to u."""
-    return u * ndtr(u) + np.exp(-0.5 * u * u) / np.sqrt(2 * np.pi)
+    return u * scipy.special.ndtr(u) + np.exp(-0.5 * u * u) / np.sqrt(2 * np.pi)
 
 
 def _spread(landing):

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import stats
 
 from difffric.coordinates import LINEAR, to_value
 from difffric.errors import InputError, NumericalError
@@ -154,7 +154,7 @@ class _Path:
         reasons: list[str | None] = [None, None]
         for side in (0, 1):
             for level in levels:
-                t = float(stats.t.ppf(0.5 + level / 2, self.fit.freedom[self.j]))
+                t = float(scipy.stats.t.ppf(0.5 + level / 2, self.fit.freedom[self.j]))
                 x, why = self._bound(2 * side - 1, t)
                 if x is None:
                     reasons[side] = why

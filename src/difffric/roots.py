@@ -9,6 +9,9 @@ import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
+HIT = 1e-14
+"""A relative excess below this is none: where the model is flat there is no better."""
+
 
 class _Search(NamedTuple):
     t: jax.Array

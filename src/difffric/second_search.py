@@ -8,9 +8,8 @@ out, which resolves more than the first search's, and those in other basins are 
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtri
-from scipy.stats import qmc
 
 from difffric.first_search import BATCH, answers, pool, residuals
 from difffric.fit_data import FitData
@@ -38,9 +37,9 @@ def starts_elsewhere(
     # By eigenvalues: one that nothing determines leaves no digits to the others.
     variance, axes = np.linalg.eigh(full_covariance(model, data, at))
     variance = np.maximum(variance, 0.0) + _LEAST**2
-    u = qmc.Sobol(layout.n_free + 1, scramble=False).random_base2(int(np.log2(_POOL)))
+    u = scipy.stats.qmc.Sobol(layout.n_free + 1, scramble=False).random_base2(int(np.log2(_POOL)))
     size = np.exp(np.log(_FARTHEST) * u[:, -1:])
-    normal = ndtri(np.clip(u[:, :-1], 1e-4, 1 - 1e-4))
+    normal = scipy.special.ndtri(np.clip(u[:, :-1], 1e-4, 1 - 1e-4))
     theta = at.theta + size * (normal * np.sqrt(variance)) @ axes.T
     theta = np.clip(theta, layout.lower, layout.upper)
     theta = np.concatenate([theta, pool(model, data, box)])

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass, field
 
-from scipy.special import ndtri, stdtr
+import scipy
 
 from difffric.evidence import FARTHEST
 
@@ -85,7 +85,8 @@ def judged(y: float, h: float, mean: Mean, spread: Spread) -> Judged:
     phi, square, z = spread.phi, residual**2, None
     if phi is not None:
         t = residual / math.sqrt(phi)
-        z = math.copysign(float(-ndtri(max(stdtr(spread.count, -abs(t)), 1e-300))), t)
+        tail = scipy.special.stdtr(spread.count, -abs(t))
+        z = math.copysign(float(-scipy.special.ndtri(max(tail, 1e-300))), t)
     near = z is None or abs(z) <= FARTHEST
     if near:
         mean.add(y, h)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,12 +10,13 @@ from numpy.typing import NDArray
 from difffric import parameters
 from difffric.affine import Slide
 from difffric.errors import InputError
+from difffric.programs import kept
 from difffric.rig import Rig
 
 _STEPS = 50
 
 
-@eqx.filter_jit
+@kept
 def _solve(rigs, velocity, d):
     """log mu_s at which each slide has its distance, and the derivatives of log d there by
     log mu_s, log v, and k_v [1/(N s/m)]."""

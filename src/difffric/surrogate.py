@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from difffric.errors import NumericalError
 from difffric.units import from_um, to_mm_min, to_um
@@ -94,7 +94,8 @@ class DistanceSurrogate:
 
         P = PUBLISHED_DISTANCE
         start = [P.mu_0, np.log(P.C_1), P.k1, np.log(P.C_2), P.k2]
-        p = least_squares(misfit, start, x_scale=[0.1, 1.0, 0.1, 1.0, 0.1], max_nfev=2000).x
+        scales = [0.1, 1.0, 0.1, 1.0, 0.1]
+        p = scipy.optimize.least_squares(misfit, start, x_scale=scales, max_nfev=2000).x
         return surrogate([float(x) for x in p])
 
 

@@ -13,6 +13,7 @@ from difffric import parameters
 from difffric.errors import InputError
 from difffric.observables import Observables, marched, observables
 from difffric.path import Path, follow
+from difffric.programs import kept
 from difffric.push import (
     CLOSING,
     FREE,
@@ -105,7 +106,7 @@ class Trajectory(eqx.Module):
         return _read(self, jnp.asarray(t_force, float), jnp.asarray(t_position, float))
 
 
-@jax.jit
+@kept
 def _evaluate(trajectory: Trajectory, t):
     def at(time):
         if trajectory.path is not None:
@@ -115,7 +116,7 @@ def _evaluate(trajectory: Trajectory, t):
     return jnp.vectorize(at, signature="()->(),(),()")(t)
 
 
-@jax.jit
+@kept
 def _read(trajectory: Trajectory, t_force, t_position):
     if trajectory.path is not None:
         return trajectory.path.read(t_force, t_position)
@@ -190,6 +191,6 @@ def simulate(
     return _follow(push._replace(rig=arrays[0], velocity=arrays[1]))
 
 
-@eqx.filter_jit
+@kept
 def _follow(push: Push) -> Trajectory:
     return Trajectory.of(push)
