@@ -9,6 +9,7 @@ from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -18,11 +19,11 @@ import difffric as df
 from difffric import units
 from difffric.data_checks import checked_data
 from difffric.errors import InputError
-from difffric.measured import OF_RECORDING, QUANTITIES
+from difffric.measured import OF_RECORDING, QUANTITIES, decimal
 from difffric.pushes import COLUMNS, Pushes
 from difffric.recordings import Channel, Recording, Recordings
 from difffric.rig import spring_damper_rig
-from difffric.table_file import read_table, write_table
+from difffric.table_file import _plain, read_table, write_table
 from difffric.tdms_file import read_recordings
 from difffric.tdms_writer import RecordingWriter, Waveform, write_recordings
 
@@ -92,6 +93,20 @@ def test_units_agree_with_units_py(q):
 @given(st.sampled_from([q for q in QUANTITIES if q.range]), st.floats(1e-12, 1e12))
 def test_every_value_comes_back_from_its_file_form(q, value):
     assert q.to_si(Decimal(q.from_si(value))) == value
+
+
+decimals = st.from_regex(r"\A[0-9]{1,17}(\.[0-9]{1,17})?\Z|\A[-+.0-9eE]{0,8}\Z")
+
+
+@given(st.sampled_from([q for q in QUANTITIES if q.range]), st.lists(decimals, min_size=1))
+def test_plain_numbers_are_read_together_as_each_is_alone(q, cells):
+    together = _plain(pl.Series(cells, dtype=pl.String), q)
+    for cell, value in zip(cells, together, strict=True):
+        short = cell.replace(".", "", 1).isdecimal() and len(cell.replace(".", "", 1)) <= 15
+        if not np.isnan(value):
+            assert value == q.to_si(decimal(cell))
+        else:
+            assert not short or cell.startswith(".") or cell.endswith(".")
 
 
 @given(st.sampled_from([q for q in QUANTITIES if q.range]), st.decimals("1e-6", "1e6", places=4))

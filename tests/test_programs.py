@@ -65,11 +65,12 @@ def test_another_kind_of_argument_is_another_program(folder):
     function, traced = counted()
     function(*ARGUMENTS)
     x, tree = ARGUMENTS
-    for arguments in ((x[:3], tree), (x, (3.0, tree[1])), (x.astype(int), tree)):
+    others = (x[:3], tree), (x, (3.0, tree[1])), (x, (2, tree[1])), (x.astype(int), tree)
+    for arguments in others:
         expected = function.jitted(*arguments)
         traced.clear()
         assert equal(function(*arguments), expected) and len(traced) == 1
-    assert len(files_of(folder)) == 4
+    assert len(files_of(folder)) == 5
 
 
 def test_without_a_folder_nothing_is_kept(folder, monkeypatch):

@@ -79,31 +79,33 @@ def invert(
     safe = np.where(measured, target, 1.0)
     if rigs.pusher.stroke is None:
         ends = np.log(bracket)
-        found = [(i, ends[0], ends[1], quantity == "peak_force") for i in range(n)]
+        rising = np.full(n, quantity == "peak_force")
+        found = np.arange(n), np.full(n, ends[0]), np.full(n, ends[1]), rising
     else:
-        found = _crossings(rigs, velocity, safe, quantity, bracket, integrator)
+        listed = _crossings(rigs, velocity, safe, quantity, bracket, integrator)
+        found = tuple(np.array(column) for column in zip(*listed, strict=True))
     roots: list[list[tuple[float, float]]] = [[] for _ in range(n)]
-    if found:
-        which, lower, upper, rising = (np.array(column) for column in zip(*found, strict=True))
+    if found and n:
+        which, lower, upper, rising = found
         several, v, aim = pick((rigs, velocity, safe), which)
         interval = (np.exp(lower), np.exp(upper))
         solved = _solve_many(several, v, aim, interval, rising, quantity, integrator)
-        for i, mu_s, slope, good in zip(
-            which, solved.mu_s, solved.slope, solved.solved, strict=True
-        ):
+        columns = (x.tolist() for x in (which, solved.mu_s, solved.slope, solved.solved))
+        for i, mu_s, slope, good in zip(*columns, strict=True):
             if good:
-                roots[i].append((float(mu_s), float(slope)))
+                roots[i].append((mu_s, slope))
     ends: dict[int, tuple[float, float]] = {}
-    rootless = np.array([i for i in range(n) if measured[i] and not roots[i]], int)
+    rootless = np.flatnonzero(measured & ~np.array([bool(x) for x in roots], bool))
     if len(rootless):
         some, v = pick((rigs, velocity), rootless)
         least_most = _ends(some, v, quantity, bracket, integrator)
         ends = dict(zip(rootless.tolist(), zip(*least_most, strict=True), strict=True))
+    nothing = Inversion(None, reason=f"no {_NAMES[quantity]} was measured")
     return [
-        answer_of(roots[i], target[i], quantity, bracket, ends.get(i))
-        if measured[i]
-        else Inversion(None, reason=f"no {_NAMES[quantity]} was measured")
-        for i in range(n)
+        answer_of(own, aim, quantity, bracket, ends.get(i)) if known else nothing
+        for i, (own, aim, known) in enumerate(
+            zip(roots, target.tolist(), measured.tolist(), strict=True)
+        )
     ]
 
 
@@ -112,6 +114,8 @@ _NAMES = {"peak_force": "peak force", "sliding_distance": "sliding distance"}
 
 def answer_of(roots, target, quantity, bracket, ends) -> Inversion:
     """One push's roots, or what its measured value breaks."""
+    if len(roots) == 1 and abs(roots[0][1] * roots[0][0]) > FLAT * target:
+        return Inversion(*roots[0])
     if any(abs(slope * mu_s) <= FLAT * target for mu_s, slope in roots):
         what = "F_p" if quantity == "peak_force" else "d"
         set_by = ": the peak is b v at touch, or set by the stroke" if what == "F_p" else ""
@@ -217,7 +221,8 @@ def _grid(bracket):
 def _ends(rigs, velocity, quantity, bracket, integrator):
     """The least and the most the model gives over the bracket, for each push."""
     grid = np.broadcast_to(_grid(bracket), (len(velocity), _GRID))
-    value, _, _ = model_at(rigs, velocity, grid, quantity, integrator)
+    every = np.arange(len(velocity))
+    value, _, _ = _model_once(rigs, velocity, every, grid, quantity, integrator)
     nowhere = np.isnan(value).all(axis=1)
     least = np.where(nowhere, np.nan, np.min(np.where(np.isnan(value), np.inf, value), axis=1))
     most = np.where(nowhere, np.nan, np.max(np.where(np.isnan(value), -np.inf, value), axis=1))

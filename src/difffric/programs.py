@@ -66,9 +66,10 @@ class kept:
         arrays = [x for x in leaves if eqx.is_array(x)]
         if any(isinstance(x, Tracer) for x in arrays):
             return self.jitted(*args)
-        rest = tuple(None if eqx.is_array(x) else x for x in leaves)
+        # With its class, as 1, 1.0 and True are equal.
+        kinds = tuple(_kind(x) if eqx.is_array(x) else (type(x), x) for x in leaves)
         try:
-            key = (tree, rest, tuple(map(_kind, arrays)))
+            key = (tree, kinds)
             if key not in self._ready:
                 self._ready[key] = self._made(tree, leaves, arrays)
             program = self._ready[key]
@@ -165,7 +166,7 @@ def _without_jax_cache() -> Iterator[None]:
 
 
 def _kind(x) -> tuple:
-    return (x.shape, str(x.dtype), bool(getattr(x, "weak_type", False)))
+    return x.shape, x.dtype, getattr(x, "weak_type", False)
 
 
 def own(args) -> bool:

@@ -10,10 +10,12 @@ import csv
 import io
 import math
 import os
+from decimal import Decimal
 from typing import Any
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from difffric.errors import InputError
 from difffric.measured import QUANTITIES, Measured, decimal, one_line, told, unknown
@@ -21,6 +23,7 @@ from difffric.pushes import Pushes
 from difffric.whole_file import read_bytes, write_whole
 
 BY_KEY = {q.key: q for q in QUANTITIES}
+_TEN_TO = np.array([float(f"1e{n}") for n in range(23)])  # exact
 _COMMA = "is a comma meant as the decimal point? expected a decimal point, and commas between cells"
 
 
@@ -147,10 +150,10 @@ def _column(frame: pl.DataFrame, q: Measured) -> tuple[list, list[tuple[int, str
     """The values [SI] of a column, NaN (or "") where not measured; and the cells that are wrong."""
     if q.range is None:
         return frame[q.key].fill_null("").to_list(), []
-    values, problems = np.full(frame.height, np.nan), []
-    for i, (line, cell) in enumerate(zip(frame["line"], frame[q.key], strict=True)):
-        if cell is None:
-            continue
+    values, problems = _plain(frame[q.key], q), []
+    values = np.where(q.range.holds(values), values, np.nan)
+    rest = frame.select("line", q.key).with_row_index().filter(np.isnan(values))
+    for i, line, cell in rest.filter(pl.col(q.key).is_not_null()).iter_rows():
         number = decimal(cell)
         value = math.nan if number is None else q.to_si(number)
         if math.isfinite(value) and q.range.holds(value):
@@ -159,6 +162,19 @@ def _column(frame: pl.DataFrame, q: Measured) -> tuple[list, list[tuple[int, str
         comma = f" ({_COMMA})" if number is None and decimal(cell.replace(",", ".", 1)) else ""
         problems.append((line, f"{line}, {q.key}: {q.range.expected(value)}, got {cell!r}{comma}"))
     return values.tolist(), problems
+
+
+def _plain(cells: pl.Series, q: Measured) -> NDArray:
+    """(n,) the values [SI] of decimals of at most 15 digits, each as by `to_si`; NaN for others.
+
+    Digits over a power of ten, both exact as floats, so that only the quotient is rounded.
+    """
+    digits = cells.str.replace(".", "", literal=True)
+    plain = cells.str.contains(r"^\d+(\.\d+)?$") & (digits.str.len_bytes() <= 15)
+    places = (cells.str.len_bytes() - 1 - cells.str.find(".", literal=True)).fill_null(0)
+    power = places.cast(pl.Int64).clip(0, 15).to_numpy() - Decimal(q.unit).adjusted()
+    value = digits.cast(pl.Float64, strict=False).to_numpy() / (_TEN_TO[power] * q.per)
+    return np.where(plain.fill_null(False).to_numpy(), value, np.nan)
 
 
 def _unsaid(frame: pl.DataFrame) -> list[tuple[int, str]]:
