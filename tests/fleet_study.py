@@ -19,7 +19,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
 from multiprocessing import get_context
@@ -103,25 +102,6 @@ def by_difffric(paths: list[str]) -> float:
         rig = rigs.setdefault(folder, None) or read_setup(folder / "setup.toml").rig
         rigs[folder] = rig
         pushes += len(checked_data(read_recordings(path), rig, skip_bad=True))
-    return pushes
-
-
-def by_features(paths: list[str]) -> float:
-    """The first stage's work on the files: read, checked, reduced; the number of pushes."""
-    from difffric.errors import InputError
-    from difffric.fleet_archive import Source
-    from difffric.fleet_features import features
-    from difffric.setup_file import read_setup
-
-    rigs: dict[Path, object] = {}
-    pushes = 0
-    for path in paths:
-        folder = Path(path).parent
-        if folder not in rigs:
-            rigs[folder] = read_setup(folder / "setup.toml").rig
-        source = Source(path, Path(path).name, "", "", 0, 0)
-        with suppress(InputError):
-            pushes += len(features(source, rigs[folder]))
     return pushes
 
 
@@ -258,7 +238,6 @@ def main() -> None:
         told = {"files": len(paths), "bytes": size}
         told["npTDMS"] = spread(by_nptdms, paths, n)
         told["read_and_checked"] = spread(by_difffric, paths, n)
-        told["features"] = spread(by_features, paths, n)
         told["fleet"] = fleet(archive, at / "out_recordings", n)
         told["again"] = fleet(archive, at / "out_recordings", n)["all"]
         print(json.dumps(told, indent=1), flush=True)
