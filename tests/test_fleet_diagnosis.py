@@ -131,7 +131,7 @@ def cause(effect, value=1.0, error=0.1, drop=60.0, alike=(), key="v_s_m_per_s"):
     }  # fmt: skip
 
 
-def answer(rig, *causes, verdict=None, unseen=(), negligible=(), quiet=None):
+def answer(rig, *causes, verdict=None, unseen=(), negligible=(), known=(), quiet=None):
     """A rig's answer as `fleet_rig` keeps it; `quiet`: effect -> (where it leads, visible)."""
     evidence = {e: scored(0.0, 5.0) for e in QUIET}
     evidence["stribeck"] = {"chi2_drop": 0.0, "numbers": 1, "p_value": 1.0}
@@ -142,6 +142,7 @@ def answer(rig, *causes, verdict=None, unseen=(), negligible=(), quiet=None):
     said = verdict or ("named" if causes else "adequate")
     return {
         "rig": rig, "files": 3, "files_used": 3, "pushes": 20, "recordings": True, "left_out": [],
+        "known": list(known),
         "evidence": {} if said == "unexplained" else evidence,
         "diagnosis": {
             "verdict": said, "causes": list(causes), "not_visible": list(unseen),
@@ -187,6 +188,12 @@ def test_a_rig_that_could_not_show_an_effect_does_not_differ():
     for excess in ({}, {("stribeck", "hall/z"): 3.0}, {("stribeck", "hall/z"): -5.0}):
         fleet = verdict([*named(7), answer("hall/z", unseen=["stribeck"])], excess)
         assert fleet.found.shared[0].without == ("hall/z",) and not fleet.differ
+
+
+def test_a_rig_whose_set_up_has_the_effect_does_not_lack_it():
+    fleet = verdict([*named(3), answer("done", known=["stribeck"])])
+    assert fleet.found.shared[0].without == () and not fleet.differ
+    assert "it stands in the set-up of done already" in str(fleet)
 
 
 def test_the_few_rigs_with_an_effect_do_not_make_the_many_differ():

@@ -6,6 +6,7 @@ from difffric.fleet import escaped
 from difffric.fleet_diagnosis import RIGS
 from difffric.fleet_sharing import (
     CAUSES,
+    KNOWN,
     NAMED,
     NEGLIGIBLE,
     NOT_VISIBLE,
@@ -13,7 +14,7 @@ from difffric.fleet_sharing import (
     Row,
     Shared,
 )
-from difffric.fleet_verdict import FleetDiagnosis, lines, text_of, told
+from difffric.fleet_verdict import LINES, FleetDiagnosis, lines, text_of, told
 from difffric.report import Picture, Report, Section, Table, number, rounded
 
 
@@ -54,7 +55,7 @@ def _effect(row: Row) -> dict:
 
     return {
         "id": row.effect,
-        **{mark: marked(mark) for mark in (NAMED, POSSIBLE, NEGLIGIBLE, NOT_VISIBLE)},
+        **{mark: marked(mark) for mark in (NAMED, POSSIBLE, NEGLIGIBLE, NOT_VISIBLE, KNOWN)},
         "chi2": row.chi2,
         "degrees_of_freedom": row.freedom,
         "p_value": row.p_value,
@@ -111,7 +112,11 @@ def fleet_diagnosis_report(found: FleetDiagnosis, pictures: bool) -> Report:
         for rig, a in sorted(found.answers.items())
     ]  # fmt: skip
     columns = ("rig", "files", "pushes", "verdict", "causes", "differs by")
-    sections.append(Section("Rigs", (), [Table("By rig", columns, rows)], drawn))
+    tables = [Table("By rig", columns, rows)]
+    if len(found.differ) > LINES:
+        every = [[x.rig, told(found, x)] for x in found.differ]
+        tables.append(Table("Rigs that differ", ("rig", "how"), every))
+    sections.append(Section("Rigs", (), tables, drawn))
     sections.append(Section("Evidence", (_EVIDENCE,), [_evidence(found)]))
     left_out = [[a["rig"], x] for _, a in sorted(found.answers.items()) for x in a["left_out"]]
     left_out = [[rig, why] for rig, why in found.bad] + left_out

@@ -17,7 +17,7 @@ from difffric.fleet_sharing import NAMED, NOT_VISIBLE, POSSIBLE, Row
 MOST = 10.0
 """-log10 of the probability at which the colour is full."""
 _ALL = "all rigs"
-_RED, _GREY = "#b4532a", "#e4e4e4"
+_RED, _GREY = "#b4532a", "#d9d9d9"
 _EVIDENCE = LinearSegmentedColormap.from_list("evidence", ["#ffffff", "#9cc3dc", "#1f5f8b"])
 
 
@@ -42,7 +42,7 @@ def matrix(
             ax.set_facecolor(_GREY)
             image = ax.pcolormesh(
                 np.arange(m + 1) - 0.5, np.arange(len(values) + 1) - 0.5, shown, vmin=0,
-                vmax=MOST, cmap=_EVIDENCE, edgecolors="white", linewidth=1.0,
+                vmax=MOST, cmap=_EVIDENCE, edgecolors="#ececec", linewidth=0.8,
             )  # fmt: skip
             ax.set_ylim(len(values) - 0.5, -0.5)
             ax.tick_params(length=0)
@@ -65,8 +65,10 @@ def matrix(
         lower.tick_params("x", rotation=55)
         for label in lower.get_xticklabels():
             label.set(ha="right", rotation_mode="anchor")
-        bar = figure.colorbar(image, ax=[upper, lower], shrink=min(1.0, 2.4 / (top + below)),
-                              pad=0.01, aspect=12)  # fmt: skip
+        bar = figure.colorbar(
+            image, ax=[upper, lower], shrink=min(1.0, 2.4 / (top + below)), pad=0.01, aspect=12,
+            anchor=(0.0, 1.0),
+        )  # fmt: skip
         bar.set_ticks([0, 2, 4, 6, 8, 10], labels=["1", *(f"$10^{{-{k}}}$" for k in (2, 4, 6, 8)),
                                                   "$10^{-10}$"])  # fmt: skip
         bar.set_label("probability that chance\ngives as much", fontsize=9)

@@ -14,8 +14,8 @@ import jax
 import numpy as np
 
 from difffric import cause_search as search
+from difffric import effects, refits
 from difffric import ensemble as en
-from difffric import refits
 from difffric.candidates import numbers_of
 from difffric.diagnosis import diagnose
 from difffric.diagnosis_start import start_of
@@ -107,6 +107,7 @@ def examine(rig: Rig) -> str | None:
         "pushes": len(found.mu_s),
         "recordings": bool(found.work[0].task.model.recordings),
         "left_out": list(some.notes),
+        "known": sorted(_effects_of(rig.setup)),
         "diagnosis": found.as_dict(),
         "evidence": evidence_of(found),
     }
@@ -140,6 +141,10 @@ def evidence_of(found: Diagnosis) -> dict[str, dict]:
         if score is not None:
             out[effect] |= {"at": score.at, "visible": score.visible}
     return out | {cause.id: _evidence(cause.id, cause.chi2_drop) for cause in found.causes}
+
+
+def _effects_of(setup: Setup) -> set[str]:
+    return {name.partition(".")[0] for name in effects.parameter_names(setup.rig)}
 
 
 def _evidence(effect: str, drop: float) -> dict:

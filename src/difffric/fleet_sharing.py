@@ -26,6 +26,7 @@ ALIKE = 2 * np.log(20.0)
 CAUSES, SUM = "causes", "sum"
 SIZE, ABSENT, OWN = "size", "absent", "own"
 NAMED, POSSIBLE, NEGLIGIBLE, NOT_VISIBLE = "named", "possible", "negligible", "not_visible"
+KNOWN = "known"
 BLIND = 1.0
 """Standard deviations at its typical size below which a rig's score test of an effect says
 nothing."""
@@ -39,7 +40,8 @@ class Row:
 
     effect: str
     marks: dict[str, str]
-    """rig -> named, possible (confusable with what is named), negligible or not_visible"""
+    """rig -> named, possible (confusable with what is named), negligible, not_visible, or known:
+    its set-up has it already"""
     p_values: dict[str, float]
     """rig -> of its own evidence, other effects not counted"""
     chi2: float
@@ -178,7 +180,7 @@ def _rows(answers: Mapping[str, Mapping]) -> list[Row]:
 def _row(answers: Mapping[str, Mapping], effect: str, candidates: int) -> Row:
     marks, p_values, drops, numbers = {}, {}, [], []
     for rig, answer in answers.items():
-        mark = _mark(answer["diagnosis"], effect)
+        mark = KNOWN if effect in answer["known"] else _mark(answer["diagnosis"], effect)
         if mark:
             marks[rig] = mark
         one = answer["evidence"].get(effect)
@@ -247,7 +249,7 @@ def _of_causes(answers: Mapping[str, Mapping], group: _Group, row: Row) -> Share
             for key, x in cause["parameters"].items():
                 if key != _TURNS and x["value"] is not None and x["standard_error"]:
                     sizes.setdefault(key, {})[rig] = x["value"], x["standard_error"]
-    without = [rig for rig in answers if rig not in group.rigs]
+    without = [rig for rig in answers if rig not in group.rigs and row.marks.get(rig) != KNOWN]
     able = [rig for rig in without if row.marks.get(rig) != NOT_VISIBLE]
     able = [rig for rig in able if group.effect in answers[rig]["evidence"]]
     common = len(group.rigs) > len(able)

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from difffric.effects import CATALOGUE
-from difffric.fleet_sharing import CAUSES, OWN, SIZE, Combined, Different, Shared
+from difffric.fleet_sharing import CAUSES, KNOWN, OWN, SIZE, Combined, Different, Shared
 from difffric.pooling import Pooled
 from difffric.report import number, rounded
 
 _HETEROGENEOUS = 0.01
 """p-value of Cochran's Q below which a shared size is said to differ from rig to rig."""
+LINES = 12
+"""Differences that have a line of their own."""
 _MANY = 6
 """Rigs that a line names one by one."""
 
@@ -54,7 +56,9 @@ def lines(found: FleetDiagnosis) -> list[str]:
         out.append(f"{n} rigs share no effect that their pushes show.")
     out += [_line(one, n) for one in every]
     if n > 1:
-        out += [f"Rig {x.rig} differs: {told(found, x)}." for x in found.differ]
+        out += [f"Rig {x.rig} differs: {told(found, x)}." for x in found.differ[:LINES]]
+        if len(found.differ) > LINES:
+            out.append(f"So do others, {len(found.differ) - LINES} times, listed below.")
         if not found.differ:
             out.append("No rig differs from the others.")
     elif found.found.unexplained:
@@ -78,6 +82,9 @@ def _line(one: Shared, n: int) -> str:
             f"At least {one.row.at_least} of {n} rigs share {told}, which all of them show "
             "together and too weakly to be named in each"
         )
+    known = [rig for rig, mark in one.row.marks.items() if mark == KNOWN]
+    if known:
+        line += f"; it stands in the set-up of {_listed(known)} already"
     if one.alike:
         line += f"; {' or '.join(one.alike)} would do as well"
     if any(x.p_value < _HETEROGENEOUS for x in one.parameters.values()):
