@@ -1,6 +1,7 @@
 """A fleet's diagnosis: what rigs share, which of them differ, and what is done again."""
 
 import json
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -21,8 +22,11 @@ from difffric.fleet_sharing import SIGNIFICANT, combined, differing
 from difffric.fleet_verdict import FleetDiagnosis
 from difffric.pooling import holm, left_out, odd_ones, pooled, sharing, summed
 from difffric.report import render
+from tests.browser import WIDTHS, browser, faults, needs_chromium
 from tests.hidden import random_case, write
 from tests.reference import data, files
+
+__all__ = ["browser"]  # a fixture
 
 SPEEDS = tuple(data.MM_MIN * v for v in (1000, 2000, 3000, 4000))
 QUIET = ("tilt", "force_gain", "probe_scale", "quadratic_drag", "initial_gap")
@@ -297,6 +301,17 @@ def test_what_is_written_is_whole_and_the_report_draws(tmp_path):
             assert "nothing can be compared" in page and not told["differ"]
 
 
+@needs_chromium
+@pytest.mark.parametrize("n", [8, 50])
+def test_the_report_shows_at_both_widths(browser, tmp_path, n):
+    rigs = [*named(n - 2), answer("z/odd", verdict="unexplained"), answer("z/a")]
+    fleet = verdict(rigs, {("stribeck", "z/a"): 50.0}, bad=[("broken", "no file")])
+    page = tmp_path / "report.html"
+    page.write_text(render(fleet_diagnosis_report(fleet, pictures=True)), encoding="utf-8")
+    for width in WIDTHS:
+        assert faults(browser, page, width) == [], width
+
+
 # --- files ----------------------------------------------------------------------------------------
 
 RIG = data.Rig(12.0, 0.14, 0.75, 5.0, 6e5, 900.0, scatter=0.02)
@@ -338,6 +353,22 @@ def test_a_sample_is_bounded_spread_and_always_the_same(tmp_path):
     assert (np.diff(one.data.order) > 0).all()
     assert any("40 of 64 pushes" in x for x in one.notes)
     assert any(x.startswith("torn.csv: ") for x in one.notes)
+
+
+def test_recordings_go_before_tables_in_the_order_of_their_dates(tmp_path):
+    rng = np.random.default_rng(15)
+    files.write_setup(tmp_path / "setup.toml", RIG)
+    table(tmp_path / "pushes.csv", 1)
+    for day, when in (("new", 2e9), ("old", 1e9)):
+        recorded = [data.record(p, rng) for p in data.make_pushes(RIG, rng, 3, SPEEDS)]
+        files.write_recordings(tmp_path / f"{day}.tdms", recorded)
+        os.utime(tmp_path / f"{day}.tdms", (when, when))
+    one = sample(find(tmp_path))
+    said = [df.load(tmp_path / f"{day}.tdms") for day in ("old", "new")]
+    speeds = [p.velocity for part in said for p in part]
+    assert [p.velocity for p in one.data] == speeds and one.files == 2
+    assert [p.order for p in one.data] == list(range(6))
+    assert any("tables are left out" in x for x in one.notes)
 
 
 @pytest.fixture

@@ -44,7 +44,7 @@ def sample(sources: Sequence[Source], most: int = MOST) -> Sample:
     mine = [s for s in ordered if s.path.lower().endswith(kind)]
     notes = []
     if len(mine) < len(ordered):
-        notes.append(f"{len(ordered) - len(mine)} tables are left out: recordings say more")
+        notes.append("tables are left out: recordings say more")
     opened = [mine[i] for i in spread(len(mine), MOST_FILES)]
     if len(opened) < len(mine):
         notes.append(f"{len(opened)} of {len(mine)} files are looked at")
