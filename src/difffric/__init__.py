@@ -28,6 +28,7 @@ _HOME = {
     "ViscousCoulomb": "friction",
     "centre": "centering",
     "diagnose": "diagnosis",
+    "diagnose_fleet": "fleet_diagnosis",
     "extended": "effects",
     "family": "families",
     "fit": "calibration",
@@ -75,6 +76,7 @@ if TYPE_CHECKING:
     from difffric.estimators import identify as identify
     from difffric.families import family as family
     from difffric.fleet import identify_fleet as identify_fleet
+    from difffric.fleet_diagnosis import diagnose_fleet as diagnose_fleet
     from difffric.friction import AbstractFriction as AbstractFriction
     from difffric.friction import ViscousCoulomb as ViscousCoulomb
     from difffric.identifiability import identifiable as identifiable

@@ -42,6 +42,8 @@ class Score:
     """predicted drop of chi-square, the plain parameters and the scatter projected out"""
     visible: float
     """the square root of the drop that the effect would make at its typical size"""
+    at: float = 0.0
+    """the coordinate where it leads; its standard error is 1 / `visible`"""
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,7 @@ def score_tests(task: Task, base: Fits, effects: Sequence[str]) -> dict[str, Sco
             if len(own) == 1:  # bounded at its null: what leads out of bounds explains nothing
                 low, high = coordinates.bounds(coordinates.names[own[0]])
                 drop *= low <= base.c[0, own[0]] + step[0] <= high
-            out[e] = Score(drop, float(np.sqrt(information)))
+            out[e] = Score(drop, float(np.sqrt(information)), float(at.c[0, own[0]] + step[0]))
     return out
 
 

@@ -11,7 +11,15 @@ import typer
 
 from difffric import cli_use as cli_use  # its commands are the app's too
 from difffric import own_folder
-from difffric.cli_fleet import Archive, FleetSetup, Scheduler, Workers, identify_many, is_fleet
+from difffric.cli_fleet import (
+    Archive,
+    FleetSetup,
+    Scheduler,
+    Workers,
+    diagnose_many,
+    identify_many,
+    is_fleet,
+)
 from difffric.cli_parts import (
     Data,
     DataMass,
@@ -266,8 +274,8 @@ def identify(
 
 @app.command()
 def diagnose(
-    data: Data,
-    setup: SetupOption,
+    data: Archive,
+    setup: FleetSetup = None,
     negligible: Annotated[
         float, typer.Option(help="share of the systematic error below which a cause is left out")
     ] = 0.1,
@@ -276,10 +284,13 @@ def diagnose(
     ] = "push",
     use_data_mass: DataMass = False,
     skip_bad: SkipBad = False,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     out: Out = None,
     quiet: Quiet = False,
 ) -> None:
-    """What the simulation gets wrong, the cause, the extended model and what it gains."""
+    """What the simulation gets wrong, the cause, the extended model and what it gains; of a folder
+    or a pattern of files, a fleet: what its rigs share, and which of them differ."""
     check_writable(out)
     from difffric import answer_diagnose as answers
     from difffric.answer_fit import check_out
@@ -290,6 +301,13 @@ def diagnose(
 
     if not 0 <= negligible < 1:
         raise InputError(f"--negligible: expected a share from 0 to 1, got {negligible:g}")
+    if is_fleet(data, workers, scheduler):
+        return diagnose_many(
+            data, setup, workers, scheduler, out, quiet, negligible=negligible,
+            held_out=held_out, use_data_mass=use_data_mass,
+        )  # fmt: skip
+    if setup is None:
+        raise InputError(f"--setup is missing: expected the set-up of the rig of {data}")
     check_out(out, setup)
     rig, loaded = read_setup(setup), load(data, skip_bad=skip_bad)
     with progress(quiet) as tell:

@@ -1,4 +1,4 @@
-"""What `difffric identify` adds for a fleet: its options, and the command on many files."""
+"""What `identify` and `diagnose` add for a fleet: their options, and the commands on many files."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Scheduler = Annotated[str | None, typer.Option(help="a fleet's dask scheduler, t
 
 
 def is_fleet(data: Path, workers: int | None, scheduler: str | None) -> bool:
-    """Whether the command is to identify a fleet."""
+    """Whether the command is for a fleet."""
     if workers is not None or scheduler is not None:
         return True
     from difffric.fleet_archive import is_archive
@@ -40,12 +40,7 @@ def is_fleet(data: Path, workers: int | None, scheduler: str | None) -> bool:
 
 def identify_many(data, setup, use_data_mass, workers, scheduler, out, quiet) -> None:
     """mu_s of all pushes of an archive, into the folder."""
-    from difffric.errors import InputError
-
-    if out is None:
-        raise InputError(f"--out is missing: expected the folder for what is found in {data}")
-    if workers is not None and scheduler is not None:
-        raise InputError("--workers and --scheduler: expected one of them")
+    _checked(data, workers, scheduler, out)
     from difffric.answer_fleet import fleet_answer, fleet_report
     from difffric.fleet import identify_fleet
 
@@ -58,3 +53,29 @@ def identify_many(data, setup, use_data_mass, workers, scheduler, out, quiet) ->
         answer = fleet_answer(found)
         report = fleet_report(found, answer, pictures=True)
     finish(report, answer, out)
+
+
+def diagnose_many(data, setup, workers, scheduler, out, quiet, **options) -> None:
+    """What the rigs of an archive share, and which of them differ, into the folder."""
+    _checked(data, workers, scheduler, out)
+    from difffric.answer_fleet_diagnosis import fleet_diagnosis_answer, fleet_diagnosis_report
+    from difffric.fleet_diagnosis import diagnose_fleet
+
+    with progress(quiet) as tell:
+        found = diagnose_fleet(
+            data, out, setup=setup, n_workers=workers or 1, scheduler=scheduler, tell=tell,
+            **options,
+        )  # fmt: skip
+        tell("drawing", 1.0)
+        report = fleet_diagnosis_report(found, pictures=True)
+    finish(report, fleet_diagnosis_answer(found), out)
+
+
+def _checked(data, workers, scheduler, out) -> None:
+    """What any command on many files needs."""
+    from difffric.errors import InputError
+
+    if out is None:
+        raise InputError(f"--out is missing: expected the folder for what is found in {data}")
+    if workers is not None and scheduler is not None:
+        raise InputError("--workers and --scheduler: expected one of them")

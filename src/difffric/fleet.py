@@ -95,7 +95,7 @@ def identify_fleet(
     out = Path(out)
     tell("looking for files", 0.0)
     sources = find(archive, setup, out)
-    setups, broken = _setups(sources, setup)
+    setups, broken = setups_of(sources, setup)
     with folder_for(out), workers(n_workers, scheduler) as run:
         _tidy(out)
         parts = (out / STATE).absolute()
@@ -129,7 +129,7 @@ def identify_fleet(
     return Fleet(out, files, tuple(listed), tuple(skipped), fresh, again, short)
 
 
-def _setups(
+def setups_of(
     sources: Sequence[Source], given: str | os.PathLike | None
 ) -> tuple[dict[str, tuple[Setup, str]], dict[str, str]]:
     """(each rig's set-up and a digest of its file, each rig's problem)."""
@@ -210,7 +210,7 @@ def _friction(table, rig_of, setups, out: Path, run: Runner, tell: Tell) -> int:
 
     def missing() -> Iterator[_Part]:
         for (rig, date), rows in ordered.group_by("rig", "date", maintain_order=True):
-            folder = out / DATA_SET / f"rig={_escaped(str(rig))}" / f"date={date}"
+            folder = out / DATA_SET / f"rig={escaped(str(rig))}" / f"date={date}"
             setup, digest = setups[rig]
             # A program takes either pushes or free slides.
             rows = rows.with_columns(slide=pl.col("velocity").is_null()).partition_by(
@@ -274,7 +274,7 @@ def _said_key(path: Path) -> str | None:
         return None
 
 
-def _escaped(rig: str) -> str:
+def escaped(rig: str) -> str:
     """A rig's name as part of a folder's; those that end in a dot are not Windows's."""
     return quote(rig, safe="").replace(".", "%2E")
 
