@@ -438,6 +438,15 @@ def test_a_rig_that_cannot_be_diagnosed_is_listed_and_tried_again(archive, tmp_p
         assert dict(found.bad)["dies"] == "its pushes could not be followed"
 
 
+def test_what_nobody_foresaw_in_one_rig_stops_no_other(archive, tmp_path, monkeypatch):
+    def fails(setup, some, **options):
+        raise RuntimeError("a program could\nnot be compiled")
+
+    monkeypatch.setattr(fleet_rig, "diagnose", fails)
+    with pytest.raises(df.InputError, match="a: RuntimeError: a program could not be compiled"):
+        diagnose_fleet(archive, tmp_path / "out")
+
+
 def command(*words):
     return CliRunner().invoke(app, ["diagnose", *map(str, words), "--quiet"])
 

@@ -24,6 +24,7 @@ from difffric.errors import DifffricError
 from difffric.fleet_archive import Source
 from difffric.fleet_features import MADE_WITH
 from difffric.fleet_sample import MOST, sample
+from difffric.measured import one_line
 from difffric.report import plain
 from difffric.setup_file import Setup, read_setup, write_setup
 from difffric.starts import best_base
@@ -95,8 +96,8 @@ def examine(rig: Rig) -> str | None:
     try:
         some = sample(rig.sources)
         found = diagnose(rig.setup, some.data, skip_bad=True, **dict(rig.options))
-    except (DifffricError, OSError, np.linalg.LinAlgError) as error:
-        return " ".join(str(error).split())
+    except Exception as error:  # whatever it is, the other rigs are to have their answers
+        return _reason(error)
     folder = Path(rig.folder)
     folder.mkdir(parents=True, exist_ok=True)
     write_setup(found.setup, folder / SETUP)
@@ -166,8 +167,8 @@ def ask(question: Question) -> str | None:
         task = start.data.task
         base = best_base(task, start.at, start.guess)
         excess = excess_of(task, base, question.effect, dict(question.sizes))
-    except (DifffricError, OSError, np.linalg.LinAlgError) as error:
-        return " ".join(str(error).split())
+    except Exception as error:  # whatever it is, the other rigs are to have their answers
+        return _reason(error)
     _keep(question.path, question.key, {"effect": question.effect, "excess": excess})
     return None
 
@@ -192,6 +193,12 @@ def excess_of(task: en.Task, base: en.Fits, effect: str, sizes: Mapping) -> floa
     every = en.together(one, level) if task.mu_free else one
     there = refits.refitted(task, every, _ROUNDS)
     return float(np.min(en.criterion(task, there)) - en.criterion(task, base)[0])
+
+
+def _reason(error: Exception) -> str:
+    """In one line; of what nobody foresaw, what it is."""
+    words = one_line(" ".join(str(error).split()))
+    return words if isinstance(error, DifffricError) else f"{type(error).__name__}: {words}"
 
 
 def _silent(what: str, share: float) -> None:
