@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -84,8 +85,6 @@ def test_a_kind_of_class_that_the_key_does_not_know_is_not_kept(folder):
     class Mine(tuple):
         pass
 
-    import jax
-
     jax.tree_util.register_pytree_node(Mine, lambda x: (list(x), None), lambda _, x: Mine(x))
     result = kept(lambda m: m[0] + 1.0)(Mine([np.ones(2)]))
     assert np.array_equal(result, [2.0, 2.0]) and not files_of(folder)
@@ -117,6 +116,53 @@ def test_another_version_has_a_folder_of_its_own(folder, monkeypatch):
     function, traced = counted()
     function(*ARGUMENTS)
     assert traced and len(files_of(folder)) == 2
+
+
+SOLVE = """
+import sys
+import jax
+import jax
+import jax.numpy as jnp
+import numpy as np
+from difffric.programs import kept
+traced = []
+def solve(a, b):
+    traced.append(1)
+    return jnp.linalg.solve(a @ a.T, b), jnp.linalg.eigh(a @ a.T)[0]
+a = np.arange(9.0).reshape(3, 3) + np.eye(3)
+x, w = kept(solve)(a, a[0])
+print(len(traced), float(x @ x), float(w.sum()))
+"""
+
+
+def test_a_program_that_calls_lapack_runs_in_a_process_that_has_compiled_none(folder):
+    call = [sys.executable, "-c", SOLVE]
+    told = [subprocess.run(call, capture_output=True, text=True, timeout=120) for _ in range(2)]
+    assert [run.returncode for run in told] == [0, 0]
+    first, second = (run.stdout.split() for run in told)
+    assert (first[0], second[0]) == ("1", "0") and first[1:] == second[1:]
+
+
+def test_a_program_that_calls_python_is_not_kept(folder):
+    """It holds an address of the process that compiled it."""
+
+    def called(x):
+        shape = jax.ShapeDtypeStruct(x.shape, x.dtype)
+        return jax.pure_callback(lambda x: np.asarray(x) + 1.0, shape, x)
+
+    assert np.array_equal(kept(called)(np.zeros(2)), [1.0, 1.0])
+    assert not files_of(folder)
+
+
+def test_a_program_that_has_ended_two_processes_is_not_run_again(folder):
+    wanted = counted()[0](*ARGUMENTS)
+    (path,) = files_of(folder)
+    for expected in (0, 0, 1):
+        function, traced = counted()
+        assert equal(function(*ARGUMENTS), wanted) and len(traced) == expected
+        ended = subprocess.Popen([sys.executable, "-c", ""])
+        ended.wait()
+        path.with_name(f"{path.name}.first-{ended.pid}").touch()
 
 
 def test_observables_are_those_of_the_library_without_it(folder, monkeypatch):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -80,6 +81,8 @@ def _prepare_jax() -> None:
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    # An entry that another process is just writing: the program is compiled here.
+    warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
     # One small program at a time: handing it to another thread costs more than running it.
     os.environ.setdefault("JAX_CPU_ENABLE_ASYNC_DISPATCH", "0")
 

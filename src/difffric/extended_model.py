@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from typing import Any, NamedTuple
@@ -247,7 +248,8 @@ class ExtendedModel:
     def compile(self) -> None:
         """Make the program ready; may be left to another thread. That with bristles is not: few
         searches come to it."""
-        _ = self._unbent._compiled
+        with suppress(Exception):  # XLA has failed where two compiled at once; its use asks again
+            _ = self._unbent._compiled
 
     def answers(self, index: NDArray, c: NDArray, directions: NDArray) -> Answer:
         """For N pairs: pushes `index` (N,), coordinates (N, K), directions (N, D, K) or (D, K).

@@ -39,7 +39,7 @@ def swept(folder: Path) -> None:
     """
     with suppress(OSError):
         for mark in folder.glob(f"{_MARK}*"):
-            if _runs(int(mark.name.removeprefix(_MARK))):
+            if runs(int(mark.name.removeprefix(_MARK))):
                 continue
             since = mark.stat().st_mtime_ns
             for file in folder.iterdir():
@@ -52,7 +52,8 @@ def swept(folder: Path) -> None:
         atexit.register(own.unlink, missing_ok=True)
 
 
-def _runs(process: int) -> bool:
+def runs(process: int) -> bool:
+    """Whether there is a process of this number."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:

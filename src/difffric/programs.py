@@ -13,6 +13,7 @@ import hashlib
 import os
 import pickle
 import platform
+import re
 import shutil
 import sys
 import tempfile
@@ -26,11 +27,12 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jax.experimental.compilation_cache import compilation_cache
 
-from difffric.own_folder import REFUSED, made, safe
+from difffric.own_folder import REFUSED, made, runs, safe
 
 FOLDER = "DIFFFRIC_PROGRAMS"
 """Environment variable: where programs are kept; unset or empty: nowhere."""
@@ -38,6 +40,8 @@ _MADE_WITH = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
 _FLAGS = ("XLA_FLAGS", "JAX_PLATFORMS", "EQX_ON_ERROR", "NPROC")
 _OWN = ("difffric.", "equinox.", "jax.", "jaxlib.", "builtins", "collections")
 _PLAIN = (bool, int, float, str, type(None))
+_FOREIGN = re.compile(r'custom_call_target="([^"]+)"')
+_MARK = ".first-"
 _NAMELESS = " at 0x"
 """In what Python says of an object that has no name beyond this process."""
 _OLD = 30 * 86400.0
@@ -121,6 +125,8 @@ def program(
         return None
     whole = repr((key, list(map(_kind, arrays)), options))
     path = folder / hashlib.sha256(whole.encode()).hexdigest()[:40]
+    if _fatal(path):
+        return None
     call = _read(path)
     if call is None:
         shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=_kind(x)[2]) for x in arrays]
@@ -144,6 +150,38 @@ def program(
 
 def _called(compiled, tree) -> Callable:
     return lambda arrays: jax.tree.unflatten(tree, compiled(arrays))
+
+
+def _marked(path: Path, call: Callable) -> Callable:
+    """The program, whose first call leaves a mark where it takes the process with it."""
+    mark = path.with_name(f"{path.name}{_MARK}{os.getpid()}")
+    marked: Any = call
+
+    def first(arrays):
+        nonlocal marked
+        with suppress(OSError):
+            mark.touch()
+        try:
+            return call(arrays)
+        finally:
+            marked = call
+            with suppress(OSError):
+                mark.unlink()
+
+    marked = first
+    return lambda arrays: marked(arrays)
+
+
+def _fatal(path: Path) -> bool:
+    """Whether processes have ended, twice, in this program's first call."""
+    marks = path.parent.glob(f"{path.name}{_MARK}*")
+    return sum(not runs(int(mark.name.rpartition(_MARK)[2])) for mark in marks) > 1
+
+
+@cache
+def _lapack_ready() -> None:
+    """Lowering a call of LAPACK fills the table that the call is made by; loading one does not."""
+    jax.jit(jnp.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), float))
 
 
 def _same(a, b) -> bool:
@@ -193,9 +231,11 @@ def _read(path: Path):
             digest, blob = file.read(32), file.read()
         if hashlib.sha256(blob).digest() != digest:
             raise ValueError("cut short")
-        *packed, skeleton = pickle.loads(blob)
+        *packed, skeleton, by_lapack = pickle.loads(blob)
+        if by_lapack:
+            _lapack_ready()
         loaded = serialize_executable.deserialize_and_load(*packed)
-        return _called(loaded, jax.tree.structure(skeleton))
+        return _marked(path, _called(loaded, jax.tree.structure(skeleton)))
     except FileNotFoundError:
         return None
     except Exception:  # of another processor, or damaged: it is made anew
@@ -209,9 +249,12 @@ def _write(path: Path, compiled, tree) -> None:
     from jax.experimental import serialize_executable
 
     with suppress(Exception):
+        foreign = set(_FOREIGN.findall(compiled.as_text()))
+        if not all(name.startswith("lapack_") for name in foreign):
+            return  # an address of this process: a callback of Python's, say
         payload, ins, outs = serialize_executable.serialize(compiled)
         skeleton = jax.tree.unflatten(tree, list(range(tree.num_leaves)))
-        blob = pickle.dumps((payload, ins, outs, skeleton))
+        blob = pickle.dumps((payload, ins, outs, skeleton, bool(foreign)))
         handle, part = tempfile.mkstemp(dir=path.parent)
         try:
             with os.fdopen(handle, "wb") as file:
