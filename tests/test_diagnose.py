@@ -34,6 +34,8 @@ HIDDEN = {
 }
 ANOTHER_FORM = ("stribeck",)
 """Hidden with another exponent than the catalogue's: the size is not the same number."""
+LONG = ("presliding", "pusher_lag", "channel_skew")
+"""Minutes each: with the slow tests."""
 
 
 class Analysis:
@@ -71,7 +73,10 @@ def where_the_misfit_sits(found):
             assert {"closing", "rebounding", "free", "at rest"} <= set(one.at) <= set(PHASES)
 
 
-@pytest.mark.parametrize("effect", HIDDEN)
+@pytest.mark.parametrize(
+    "effect",
+    [pytest.param(x, marks=pytest.mark.slow) if x in LONG else x for x in HIDDEN],
+)
 def test_a_hidden_effect_is_named_sized_and_gains_on_new_pushes(effect, tmp_path):
     options = dict(HIDDEN[effect])
     one = Analysis(random_case(options.pop("seed"), effect, **options), tmp_path)
