@@ -21,8 +21,8 @@ def code(simulator: str) -> str:
     """Ten digits that stand for the source of the library and of a simulator (of tests)."""
     digest = hashlib.sha256()
     for folder in (ROOT / "src" / "difffric", ROOT / "tests" / simulator):
-        for path in sorted(folder.glob("*.py")):
-            digest.update(path.name.encode() + path.read_bytes())
+        for path in sorted(folder.rglob("*.py")):
+            digest.update(str(path.relative_to(folder)).encode() + path.read_bytes())
     return digest.hexdigest()[:10]
 
 

@@ -29,6 +29,29 @@ def folder(tmp_path, monkeypatch):
     programs._folder.cache_clear()
 
 
+@pytest.fixture
+def package(tmp_path):
+    """A package with a law two folders down."""
+    law = tmp_path / "package" / "rig" / "laws" / "friction.py"
+    law.parent.mkdir(parents=True)
+    law.write_text("mu_k = 0.75\n", encoding="utf-8")
+    return law
+
+
+def test_a_law_changed_two_folders_down_makes_another_program(folder, package, monkeypatch):
+    monkeypatch.setattr(programs, "_PACKAGE", package.parents[2])
+    before = programs._made_with()
+    assert programs._made_with() == before
+    package.write_text("mu_k = 0.8\n", encoding="utf-8")
+    changed = programs._made_with()
+    package.rename(package.with_name("contact.py"))
+    assert len({before, changed, programs._made_with()}) == 3
+
+
+def test_the_package_that_makes_a_program_is_this_one():
+    assert {"__init__.py", "programs.py"} <= {p.name for p in programs._PACKAGE.rglob("*.py")}
+
+
 def files_of(root):
     return sorted(path for path in root.rglob("*") if path.is_file())
 

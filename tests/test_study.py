@@ -141,3 +141,15 @@ def test_the_figures_asked_for_are_met():
     if not any(lines.values()):
         pytest.skip("no results of this source: python -m tests.study makes them")
     assert figures.complaints(lines) == []
+
+
+def test_a_law_changed_two_folders_down_is_another_source(tmp_path, monkeypatch):
+    law = tmp_path / "src" / "difffric" / "rig" / "laws" / "friction.py"
+    law.parent.mkdir(parents=True)
+    law.write_text("mu_k = 0.75\n", encoding="utf-8")
+    monkeypatch.setattr(runs, "ROOT", tmp_path)
+    before = runs.code("reference")
+    law.write_text("mu_k = 0.76\n", encoding="utf-8")
+    changed = runs.code("reference")
+    law.rename(law.with_name("contact.py"))
+    assert len({before, changed, runs.code("reference")}) == 3

@@ -32,10 +32,13 @@ import numpy as np
 from jax.core import Tracer
 from jax.experimental.compilation_cache import compilation_cache
 
+import difffric
 from difffric.own_folder import REFUSED, made, runs, safe
 
 FOLDER = "DIFFFRIC_PROGRAMS"
 """Environment variable: where programs are kept; unset or empty: nowhere."""
+_PACKAGE = Path(difffric.__path__[0])
+"""The folder whose files, however deep, make a program: a changed law must never run an old one."""
 _MADE_WITH = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
 _FLAGS = ("XLA_FLAGS", "JAX_PLATFORMS", "EQX_ON_ERROR", "NPROC")
 _OWN = ("difffric.", "equinox.", "jax.", "jaxlib.", "builtins", "collections")
@@ -286,8 +289,8 @@ def _folder(root: str) -> Path | None:
 
 def _made_with() -> str:
     """A name for this library's files, what they stand on, and the processor."""
-    own = sorted(Path(__file__).parent.glob("*.py"))
-    files = [(p.name, (s := p.stat()).st_size, s.st_mtime_ns) for p in own]
+    own = sorted(_PACKAGE.rglob("*.py"))
+    files = [(str(p.relative_to(_PACKAGE)), (s := p.stat()).st_size, s.st_mtime_ns) for p in own]
     versions = [version(name) for name in _MADE_WITH]
     flags = [os.environ.get(name) for name in _FLAGS]
     all_of_it = (
