@@ -34,7 +34,7 @@ difffric_one_contact, difffric_stroke = _difffric(None), _difffric(STROKE_M)
 def _difffric_integrated(v, mu_s):
     integrator = model.diffrax_integrator()
     if integrator is None:
-        pytest.skip("difffric.integrate is not there yet")
+        pytest.skip("difffric.simulation.diffrax_reference is not there yet")
     call = model.batch(None, integrator)
     return lambda: call(v, mu_s)
 

@@ -10,7 +10,7 @@ import pytest
 
 import difffric as df
 from benchmarks import contest, diffrax_push, model
-from difffric import parameters
+from difffric.rig import parameters
 
 GROUP = "3b. Laws that are not affine: a batch of one contact, per push"
 OTHERS = tuple(contest.PUSH[name] for name in ("k", "b", "k_v", "m", "ratio"))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks import contest, model, numba_closed_form, scipy_push
-from difffric import instant, inversion
+from difffric.identification import fast_identifier, inversion
 
 V, MU_S = 0.05, 0.141
 OTHERS = tuple(contest.PUSH[name] for name in ("k", "b", "k_v", "m", "ratio"))
@@ -29,7 +29,9 @@ ROW = {"F_p": 0, "d": 1}
 
 
 def _difffric(task, measured):
-    call = instant.identifier(model.rig(), peak_force_se=SE["F_p"], sliding_distance_se=SE["d"])
+    call = fast_identifier.identifier(
+        model.rig(), peak_force_se=SE["F_p"], sliding_distance_se=SE["d"]
+    )
     readings = dict(zip(task, measured, strict=True))
     F_p, d = (readings.get(name, np.nan) for name in BOTH)
     if task == BOTH:

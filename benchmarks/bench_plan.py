@@ -13,8 +13,8 @@ from scipy.optimize import brentq
 
 import difffric as df
 from benchmarks import contest, model
-from difffric import parameters
-from difffric.planning import SPEEDS, WITHIN, Known, plan
+from difffric.centering.planning import SPEEDS, WITHIN, Known, plan
+from difffric.rig import parameters
 
 REFERENCE = "difffric, plan"
 RANDOM = "brentq on difffric's displacement, 2000 random pushes a speed"

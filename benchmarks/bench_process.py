@@ -33,8 +33,8 @@ MAIN = "from difffric.cli import main; main()"
 
 def _simulate(*options):
     def command(folder):
-        if importlib.util.find_spec("difffric.cli") is None:
-            pytest.skip("difffric.cli is not there yet")
+        if importlib.util.find_spec("difffric.commands.main") is None:
+            pytest.skip("difffric.commands.main is not there yet")
         setup = folder / "setup.toml"
         setup.write_text(SETUP, encoding="utf-8")
         arguments = ["simulate", str(setup), "--velocity-mm-min", "3000", "--quiet"]

@@ -23,7 +23,7 @@ def _difffric(integrator=None):
 def _difffric_integrated():
     integrator = model.diffrax_integrator()
     if integrator is None:
-        pytest.skip("difffric.integrate is not there yet")
+        pytest.skip("difffric.simulation.diffrax_reference is not there yet")
     return _difffric(integrator)
 
 

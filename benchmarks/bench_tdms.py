@@ -7,7 +7,7 @@ import pytest
 from nptdms import ChannelObject, GroupObject, TdmsFile, TdmsWriter
 
 from benchmarks import contest
-from difffric.data_file import load
+from difffric.measurements.load_file import load
 
 GROUP = "9. Reading every sample of a .tdms of 100 MB: 16 pushes, force and position"
 PUSHES, N = 16, 400_000

@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.contest import PUSH
-from difffric import batch as batched
-from difffric import parameters
-from difffric.observables import observe
-from difffric.rig import spring_damper_rig
+from difffric.rig import parameters
+from difffric.rig.rig import spring_damper_rig
+from difffric.simulation import batch as batched
+from difffric.simulation.observables import observe
 
 SEED = 20240503
 
@@ -81,8 +81,8 @@ def operations():
 
 def diffrax_integrator():
     """difffric's own integrator for laws without a closed form; None where it is missing."""
-    if importlib.util.find_spec("difffric.integrate") is None:
+    if importlib.util.find_spec("difffric.simulation.diffrax_reference") is None:
         return None
-    from difffric.integrate import Diffrax
+    from difffric.simulation.diffrax_reference import Diffrax
 
     return Diffrax()

@@ -21,8 +21,8 @@ os.environ.setdefault("EQX_ON_ERROR", "nan")
 import numpy as np
 
 import difffric as df
-from difffric.recordings import Channel, Recording, Recordings
-from difffric.sensors import ForceSensor
+from difffric.measurements.recordings import Channel, Recording, Recordings
+from difffric.rig.sensors import ForceSensor
 from tests.reference import data as reference
 
 RATE = 2e5

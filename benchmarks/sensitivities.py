@@ -21,9 +21,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import difffric as df
-from difffric import effects, parameters
-from difffric.push import Push
-from difffric.trajectory import Trajectory
+from difffric.rig import catalogue, parameters
+from difffric.simulation.segments import Push
+from difffric.simulation.trajectory import Trajectory
 
 SAMPLES = 2000
 STRIDES = 96
@@ -34,12 +34,12 @@ def sensitivities(rig):
     """A function of velocities (n,) and times (n, samples): force and position, and their
     derivatives by `BASE` and by the numbers of all effects the rig has."""
     plain = {name: parameters.values(rig)[name] for name in BASE}
-    names = effects.parameter_names(rig)
-    numbers = {name: effects.where(name)[0](rig) for name in names}
+    names = catalogue.parameter_names(rig)
+    numbers = {name: catalogue.where(name)[0](rig) for name in names}
 
     def readings(point, velocity, times):
         base, extra = point
-        at = effects.with_numbers(parameters.with_values(rig, base), extra)
+        at = catalogue.with_numbers(parameters.with_values(rig, base), extra)
         push = Push.of(at, velocity)
         trajectory = Trajectory.of(parameters.as_arrays(push), strides=STRIDES)
         return trajectory.read(times, times)

@@ -67,7 +67,7 @@ def main() -> None:
     for name in given.commands or COMMANDS:
         with tempfile.TemporaryDirectory() as place:
             folder = Path(place)
-            words = [sys.executable, "-m", "difffric.cli", *COMMANDS[name]]
+            words = [sys.executable, "-m", "difffric.commands.main", *COMMANDS[name]]
             timed(IMPORT_JAX, folder)  # its files are in memory from here on
             first, warm, alone = timed(words, folder), [], []
             for k in range(given.rounds):

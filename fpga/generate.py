@@ -122,7 +122,7 @@ def description(card: Table) -> str:
 
 
 def constants(card: Table) -> str:
-    """src/difffric/card_registers.py."""
+    """src/difffric/acquisition/card_registers.py."""
 
     def table(name: str, values: dict[str, str]) -> list[str]:
         return [f"{name} = {{", *(f'    "{key}": {value},' for key, value in values.items()), "}"]
@@ -191,8 +191,8 @@ _PAGE = """# The card's interface
 
 Made from [`fpga/registers.toml`](../fpga/registers.toml) by `fpga/generate.py`, as are
 [the description that nifpga reads](../fpga/{description}), the constants in
-`difffric.card_registers` and the emulator's table. The signature changes with anything below but
-the sentences: `{signature}`.
+`difffric.acquisition.card_registers` and the emulator's table. The signature changes with anything
+below but the sentences: `{signature}`.
 
 The description is no bitfile: no card can be loaded with it. Whoever builds one gives it these
 names and types; its offsets and its signature are then its own, and nifpga takes them from it.
@@ -281,7 +281,7 @@ def files(card: Table) -> dict[Path, str]:
         HERE / "emulator" / "registers.h": header(card),
         HERE / "hdl" / f"{card['clip']['name']}.xml": clip.declaration(card, MADE),
         ROOT / "docs" / "card.md": page(card),
-        ROOT / "src" / "difffric" / "card_registers.py": constants(card),
+        ROOT / "src" / "difffric" / "acquisition" / "card_registers.py": constants(card),
     }
 
 

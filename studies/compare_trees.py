@@ -25,7 +25,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-SETUP, TABLE, RECORDINGS = "{examples}/setup.toml", "{examples}/pushes.csv", "{examples}/pushes.tdms"
+SETUP, TABLE, RECORDINGS = (
+    "{examples}/setup.toml",
+    "{examples}/pushes.csv",
+    "{examples}/pushes.tdms",
+)
 HIDDEN = "{examples}/hidden/pushes.tdms", "--setup", "{examples}/hidden/setup.toml"
 COMMANDS = {
     "simulate": ["simulate", SETUP, "--velocity-mm-min", "3000"],
@@ -94,7 +98,7 @@ def run(tree: Path, name: str, examples: Path, kept: Path) -> Path:
         environment = {k: x for k, x in os.environ.items() if not k.startswith("DIFFFRIC_")}
         environment |= {"PYTHONPATH": str(tree / "src")}
         done = subprocess.run(
-            [sys.executable, "-c", entry_point(tree), *words, "--out", str(out), "--quiet"],
+            [sys.executable, "-c", entry_point(tree), *words, "--out", str(out)],
             env=environment,
             cwd=temporary,
             capture_output=True,

@@ -7,8 +7,8 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from difffric.derivatives import sensitivity
-from difffric.push import REGIMES
+from difffric.simulation.segments import REGIMES
+from difffric.simulation.sensitivities import sensitivity
 from tests.test_reference import CASES, QUANTITIES, natural_scale, rigs
 
 

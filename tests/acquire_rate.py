@@ -22,12 +22,12 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from difffric.acquire import Command, acquire
-from difffric.answer_acquire import PAPER_SPEEDS_MM_MIN, Run, commands, record
-from difffric.card import split_position
-from difffric.setup_file import Setup, read_setup
-from difffric.simulated_rig import simulated_card
-from difffric.tdms_file import read_recordings
+from difffric.acquisition.card import split_position
+from difffric.acquisition.recorder import Command, acquire
+from difffric.commands.reports.acquire import PAPER_SPEEDS_MM_MIN, Run, commands, record
+from difffric.commands.simulated_rig import simulated_card
+from difffric.measurements.files.tdms_reader import read_recordings
+from difffric.rig.setup import Setup, read_setup
 from fpga.emulator.emulator import emulated_card
 
 RATE = 200_000

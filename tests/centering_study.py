@@ -21,12 +21,12 @@ os.environ.setdefault("JAX_CPU_ENABLE_ASYNC_DISPATCH", "0")  # as the command li
 import numpy as np
 
 from difffric import extended, spring_damper_rig
-from difffric.answer_centre import centre_answer
-from difffric.belief import Belief
-from difffric.centering_runs import MU_S, OURS, hidden_rings, runs
-from difffric.planning import Known, plan
-from difffric.rig import Rig
-from difffric.rivals import RIVALS
+from difffric.centering.belief import Belief
+from difffric.centering.planning import Known, plan
+from difffric.commands.reports.centre import centre_answer
+from difffric.rig.rig import Rig
+from difffric.studies.centering_runs import MU_S, OURS, hidden_rings, runs
+from difffric.studies.other_centering import RIVALS
 from difffric.units import from_um
 
 RIG = spring_damper_rig(mass=18.9, mu_s=0.141, mu_k_over_mu_s=0.75, k_v=5.0, k=8e5, b=1500.0)

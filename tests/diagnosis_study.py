@@ -104,7 +104,7 @@ GROUPS = {
 def run_case(group: str, i: int, keep: Path | None = None) -> dict:
     """One case: what was hidden, what the diagnosis says, and what the true model would gain."""
     import difffric as df
-    from difffric.setup_file import read_setup
+    from difffric.rig.setup import read_setup
 
     line: dict = {"group": group, "case": i}
     try:
@@ -138,10 +138,10 @@ def true_model(found, case: cases.Case) -> dict | None:
     """The error on held-out pushes of the model that made the data, fitted from the truth, and by
     how much it beats the diagnosis's own in -2 log likelihood. None: not one of the catalogue's,
     or not to be followed."""
-    from difffric import ensemble as en
-    from difffric import refits
-    from difffric.candidates import numbers_of
-    from difffric.diagnosis_start import folds_of
+    from difffric.diagnosis.candidates import numbers_of
+    from difffric.diagnosis.start import folds_of
+    from difffric.estimation import ensemble as en
+    from difffric.estimation import ensemble_refits
 
     data, plain, base, *_ = found.work
     task = data.task
@@ -168,9 +168,9 @@ def true_model(found, case: cases.Case) -> dict | None:
     at = en.evaluated(task, at)
     if (en.penalised(task, at) >= en.REJECTED).any():  # bristles too stiff to be followed
         return None
-    at = refits.refitted(task, at, 30)
+    at = ensemble_refits.refitted(task, at, 30)
     folds = folds_of(np.asarray(task.model.pushes.velocity), False)
-    squares = refits.held_out(task, replace(at, spread=base.spread), folds).squares
+    squares = ensemble_refits.held_out(task, replace(at, spread=base.spread), folds).squares
     return {
         "heldout_nrmse": float(np.sqrt(squares.sum() / task.counts.sum())),
         "better_by": float(en.criterion(task, base)[0] - en.criterion(task, at)[0]),

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric import effects
-from difffric.observables import Observables, observe
-from difffric.rig import spring_damper_rig
+from difffric.rig import catalogue
+from difffric.rig.rig import spring_damper_rig
+from difffric.simulation.observables import Observables, observe
 from tests.reference.effect_cases import FILE
 from tests.reference.effect_parameters import BASE, FIXED, vector
 
@@ -21,7 +21,7 @@ STORED = dict(np.load(FILE))
 NAMES = [str(name) for name in STORED["names"]]
 GROUPS = [str(name) for name in STORED["groups"]]
 BY = [str(name) for name in STORED["derivative_names"]]
-EVERY = tuple(effect for effect in effects.CATALOGUE if effect != "presliding")
+EVERY = tuple(effect for effect in catalogue.CATALOGUE if effect != "presliding")
 GIVEN = {"friction_drift.place": "share", "static_dwell.rest_s": "rest"}
 BLOCK = 64
 """Pushes at a time: a block takes as long as its longest push."""
@@ -37,7 +37,7 @@ def rows_of(group: str, count: int | None = None) -> NDArray:
 
 def laws_of(group: str) -> tuple[str, ...]:
     """The effects that a group's rigs need."""
-    return EVERY if group == "all" else tuple(effects.CATALOGUE.keys() & {group})
+    return EVERY if group == "all" else tuple(catalogue.CATALOGUE.keys() & {group})
 
 
 def built(numbers, ids: Sequence[str]):
@@ -57,7 +57,7 @@ def built(numbers, ids: Sequence[str]):
         effect, key = name.split(".")
         if effect in keys and name not in FIXED:
             keys[effect][GIVEN.get(name, key)] = value[name]
-    return effects.extended(plain, keys), value["velocity_m_per_s"]
+    return catalogue.extended(plain, keys), value["velocity_m_per_s"]
 
 
 class Answers(NamedTuple):

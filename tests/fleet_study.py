@@ -91,9 +91,9 @@ def by_nptdms(paths: list[str]) -> float:
 
 def by_difffric(paths: list[str]) -> float:
     """Every sample of the files by this library, with its checks; the number of pushes."""
-    from difffric.data_checks import checked_data
-    from difffric.setup_file import read_setup
-    from difffric.tdms_file import read_recordings
+    from difffric.measurements.checks import checked_data
+    from difffric.measurements.files.tdms_reader import read_recordings
+    from difffric.rig.setup import read_setup
 
     rigs: dict[Path, object] = {}
     pushes = 0
@@ -124,7 +124,7 @@ def spread(function: Callable, paths: list[str], n: int) -> dict[str, float]:
 
 def fleet(archive: Path, out: Path, n: int) -> dict[str, float]:
     """Seconds of the stages of one run."""
-    from difffric.fleet import identify_fleet
+    from difffric.fleet.identify_archive import identify_fleet
 
     marks: dict[str, list[float]] = {}
 
@@ -171,7 +171,7 @@ def tree(folder: Path) -> dict[str, bytes]:
 def command(archive: Path, out: Path, n: int) -> subprocess.Popen:
     call = ["identify", str(archive), "--out", str(out), "--workers", str(n), "--quiet"]
     return subprocess.Popen(
-        [sys.executable, "-m", "difffric.cli", *call], cwd=ROOT, stdout=subprocess.DEVNULL
+        [sys.executable, "-m", "difffric.commands.main", *call], cwd=ROOT, stdout=subprocess.DEVNULL
     )
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from nptdms import TdmsFile
 
-from difffric.tdms_file import read_recordings
+from difffric.measurements.files.tdms_reader import read_recordings
 
 RATE = 2_000_000
 PUSH = 250_000  # samples: two segments and a half
@@ -31,7 +31,7 @@ def words() -> tuple[np.ndarray, np.ndarray]:
 
 def recording(path: str, told: int) -> None:
     """Record pushes without end, and write to `told` how many samples have been flushed."""
-    from difffric import acquire as module
+    from difffric.acquisition import recorder as module
     from fpga.emulator.emulator import emulated_card
 
     add, flushed = module._Group.add, [0]

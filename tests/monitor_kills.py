@@ -17,11 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
-from difffric import monitor, monitor_feed, table_file
-from difffric.push_reading import Reading
-from difffric.setup_file import read_setup
+from difffric.measurements.files import table_csv
+from difffric.monitoring import feed as monitor_feed
+from difffric.monitoring import monitor
+from difffric.monitoring.readings import Reading
+from difffric.rig.setup import read_setup
 
-assert table_file  # imported here, not by each fork
+assert table_csv  # imported here, not by each fork
 
 
 class PlainReader:

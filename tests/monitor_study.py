@@ -24,11 +24,12 @@ import numpy as np
 from scipy.special import ndtri, stdtr
 
 import difffric as df
-from difffric import effects, evidence, parameters
-from difffric.change_cause import CANDIDATES, verdict
-from difffric.monitor import PRIOR, Monitor
-from difffric.push_reading import Reader
-from difffric.setup_file import Setup
+from difffric.monitoring import shiryaev_roberts
+from difffric.monitoring.change_cause import CANDIDATES, verdict
+from difffric.monitoring.monitor import PRIOR, Monitor
+from difffric.monitoring.readings import Reader
+from difffric.rig import catalogue, parameters
+from difffric.rig.setup import Setup
 from difffric.units import from_mm, from_mm_min
 from tests import study_runs as runs
 
@@ -54,7 +55,7 @@ DRIFTS = (0.0005, 0.001, 0.002)
 
 def measured(rng, velocity, mu_s, **changed) -> tuple[np.ndarray, np.ndarray]:
     """(n,) F_p and d of pushes with scatter and noise; `changed` are factors of parameters."""
-    rig = effects.extended(RIG, {"force_gain": {"factor": 1.0}, "probe_scale": {"factor": 1.0}})
+    rig = catalogue.extended(RIG, {"force_gain": {"factor": 1.0}, "probe_scale": {"factor": 1.0}})
     own = mu_s * np.exp(SCATTER * rng.standard_normal(len(velocity)))
     now = parameters.values(rig)
     new = {name: float(now[name]) * np.asarray(f) for name, f in changed.items()}
@@ -69,11 +70,14 @@ def of_statistic(arl: float, pushes: int, seed: int = 1) -> tuple[float, int]:
     """(pushes per alarm, alarms): machines side by side, of the same many pushes each, begun anew
     after each alarm. What is left over at the end counts as pushes without alarm."""
     machines = 100
-    rng, log_R = np.random.default_rng(seed), np.repeat(evidence.nothing()[None], 100, axis=0)
-    alarms, threshold = 0, evidence.log_threshold(arl)
+    rng, log_R = (
+        np.random.default_rng(seed),
+        np.repeat(shiryaev_roberts.nothing()[None], 100, axis=0),
+    )
+    alarms, threshold = 0, shiryaev_roberts.log_threshold(arl)
     for _ in range(pushes // machines):
-        log_R = evidence.updated(log_R, rng.standard_normal((machines, 2)))
-        over = evidence.total(log_R) >= threshold
+        log_R = shiryaev_roberts.updated(log_R, rng.standard_normal((machines, 2)))
+        over = shiryaev_roberts.total(log_R) >= threshold
         alarms += int(over.sum())
         log_R[over] = -np.inf
     return pushes / alarms, alarms
@@ -95,7 +99,7 @@ class _Judge:
             residual = (y - m) / np.sqrt(h + 1 / w)
         t = residual / np.sqrt(self.squares[i, k] / self.count[i, k])
         z = np.where(first, np.nan, -np.sign(t) * ndtri(stdtr(self.count[i, k], -np.abs(t))))
-        near = first | (np.abs(z) <= evidence.FARTHEST)
+        near = first | (np.abs(z) <= shiryaev_roberts.FARTHEST)
         self.weight[i, k] += np.where(near, 1 / h, 0)
         self.value[i, k] += np.where(near, (y - m) / h / self.weight[i, k], 0)
         self.squares[i, k] += np.where(first, 0, residual**2)
@@ -120,11 +124,11 @@ def of_chain(arl: float, pushes: int, seed: int = 2) -> tuple[float, int, int]:
     y, c = read.log_mu_s.reshape(n, -1), read.contrast.reshape(n, -1)
     h = SCATTER**2 + read.error.reshape(n, -1) ** 2
     friction, contrast = _Judge(machines), _Judge(machines)
-    log_R, alarms = np.repeat(evidence.nothing()[None], machines, axis=0), 0
+    log_R, alarms = np.repeat(shiryaev_roberts.nothing()[None], machines, axis=0), 0
     for i in range(n):
         z = np.stack([friction(y[i], h[i], k[i]), contrast(c[i], np.ones(machines), k[i])], axis=1)
-        log_R = evidence.updated(log_R, z)
-        over = evidence.total(log_R) >= evidence.log_threshold(arl)
+        log_R = shiryaev_roberts.updated(log_R, z)
+        over = shiryaev_roberts.total(log_R) >= shiryaev_roberts.log_threshold(arl)
         alarms += int(over.sum())
         log_R[over] = -np.inf
         for judge in (friction, contrast):

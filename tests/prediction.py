@@ -6,15 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from difffric import parameters, refits
-from difffric.data_checks import checked_data
-from difffric.diagnosis_data import diagnosis_data
-from difffric.ensemble import Fits
-from difffric.extended_coordinates import PLAIN
-from difffric.extended_setup import stripped
-from difffric.recordings import Recordings
-from difffric.reduction import reduce_recordings
-from difffric.setup_file import Setup
+from difffric.diagnosis.data import diagnosis_data
+from difffric.diagnosis.extended_setup import stripped
+from difffric.estimation import ensemble_refits
+from difffric.estimation.effect_coordinates import PLAIN
+from difffric.estimation.ensemble import Fits
+from difffric.measurements.checks import checked_data
+from difffric.measurements.recordings import Recordings
+from difffric.measurements.reduction.reduce import reduce_recordings
+from difffric.rig import parameters
+from difffric.rig.setup import Setup
 
 
 def prediction_error(setup: Setup, data, noise=(0.5, 0.3e-6), **options) -> float:
@@ -33,7 +34,7 @@ def prediction_error(setup: Setup, data, noise=(0.5, 0.3e-6), **options) -> floa
     c[0, coordinates.indices(tuple(known))] = coordinates.point(known)
     mu = np.full((1, task.conditions), np.log(float(values["mu_s"])))
     start = Fits(((),), c, mu, np.zeros((1, task.n)), np.array([0.1]), np.ones((1, 2)))
-    at = refits.refitted(task, start, 10)
-    at = refits.refitted(task, refits.reowned(task, at), 10)
+    at = ensemble_refits.refitted(task, start, 10)
+    at = ensemble_refits.refitted(task, ensemble_refits.reowned(task, at), 10)
     squares = at.gram[0, :, :, -1, -1].sum()
     return float(np.sqrt(squares / task.counts.sum()))

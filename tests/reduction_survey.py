@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from difffric.recordings import Channel, Recording, Recordings
-from difffric.reduction import Reduced, reduce_recordings
+from difffric.measurements.recordings import Channel, Recording, Recordings
+from difffric.measurements.reduction.reduce import Reduced, reduce_recordings
 from tests.reference import data
 
 

@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from difffric.machine import Readings
-from difffric.ring import measure
+from difffric.centering.machine import Readings
+from difffric.centering.ring import measure
 from tests.reference import rings, traces
 
 RADIUS = 0.08

@@ -23,10 +23,19 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import difffric as df
-from difffric import paper, parameters
-from difffric.recordings import Channel, Recording
-from difffric.reduction import reduce_push
-from difffric.sampling import DSP, FPGA, Sampled, Sampler, mean_loss, sampled, sampled_friction
+from difffric.measurements.recordings import Channel, Recording
+from difffric.measurements.reduction.reduce import reduce_push
+from difffric.rig import parameters
+from difffric.studies import paper
+from difffric.studies.sampling import (
+    DSP,
+    FPGA,
+    Sampled,
+    Sampler,
+    mean_loss,
+    sampled,
+    sampled_friction,
+)
 from difffric.units import from_mm_min, from_um, to_um
 from tests import study_runs as runs
 

@@ -49,7 +49,7 @@ def table(pushes, rng, without: Sequence[str] = ()):
 
 def recordings(pushes, rng, rho: float = 0.0):
     """Force and position at 10 kHz with noise of 0.5 N and 0.3 µm, AR(1) where rho is not 0."""
-    from difffric.recordings import Channel, Recording, Recordings
+    from difffric.measurements.recordings import Channel, Recording, Recordings
 
     found = []
     for push in pushes:
@@ -86,7 +86,7 @@ def draw(kind: str, case: int):
 def as_library(rig: reference.Rig):
     """The rig as the library's own."""
     import difffric as df
-    from difffric.sensors import ForceSensor
+    from difffric.rig.sensors import ForceSensor
 
     return df.spring_damper_rig(
         mass=rig.m, mu_s=rig.mu_s, k=rig.k, b=rig.b, k_v=rig.k_v, mu_k_over_mu_s=rig.ratio,
@@ -135,18 +135,18 @@ def from_truth(fit, rig: reference.Rig, own: np.ndarray):
     """The same fit of the same samples, settled from the truth, with each push's own mu_s; None
     where that leads nowhere."""
     import difffric as df
-    from difffric import coordinates, settling
+    from difffric.estimation import coordinates, mixed_fit
 
     model, data, _ = fit.work
     true = true_values(rig)
     theta = np.array([coordinates.to_coordinate(x, true[x]) for x in figures.LABELS])
     at = replace(
-        settling.first_point(model, data, theta),
+        mixed_fit.first_point(model, data, theta),
         s_eta=np.log(own / rig.mu_s),
         scatter=max(rig.scatter, LEAST_SCATTER),
     )
     try:
-        return settling.settle(model, data, at, trust=1e3 if fit.kind == "recordings" else 30.0)
+        return mixed_fit.settle(model, data, at, trust=1e3 if fit.kind == "recordings" else 30.0)
     except df.NumericalError:
         return None
 

@@ -22,11 +22,11 @@ from nifpga.status import FifoTimeoutError, HardwareFaultError
 from nptdms import TdmsFile
 
 import difffric as df
-from difffric import card, simulated_card
-from difffric.acquire import Command, acquire
-from difffric.card import METRES_PER_COUNT, VOLTS_PER_WORD, CardError
-from difffric.simulated_card import SimulatedCard
-from difffric.tdms_file import read_recordings
+from difffric.acquisition import card, simulated_card
+from difffric.acquisition.card import METRES_PER_COUNT, VOLTS_PER_WORD, CardError
+from difffric.acquisition.recorder import Command, acquire
+from difffric.acquisition.simulated_card import SimulatedCard
+from difffric.measurements.files.tdms_reader import read_recordings
 from difffric.units import from_mm_min
 
 SENSITIVITY = 11.2e-3
@@ -376,7 +376,7 @@ def run(tmp_path_factory):
     env = {**os.environ, "XDG_CACHE_HOME": str(tmp_path_factory.mktemp("cache"))}
 
     def run_it(*arguments):
-        command = [sys.executable, "-m", "difffric.cli", "acquire", *map(str, arguments)]
+        command = [sys.executable, "-m", "difffric.commands.main", "acquire", *map(str, arguments)]
         return subprocess.run(command, capture_output=True, text=True, env=env, timeout=300)
 
     return run_it

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from nptdms import TdmsFile
 
-from difffric import tdms_writer
-from difffric.acquire import SEGMENT, Command, acquire, troubles
-from difffric.answer_acquire import Run, acquire_answer, acquire_report, raise_for_lost
-from difffric.card import CardError
+from difffric.acquisition.card import CardError
+from difffric.acquisition.recorder import SEGMENT, Command, acquire, troubles
+from difffric.commands.reports.acquire import Run, acquire_answer, acquire_report, raise_for_lost
 from difffric.errors import DiskError
-from difffric.setup_file import read_setup
-from difffric.tdms_file import read_recordings
+from difffric.measurements.files import tdms_writer
+from difffric.measurements.files.tdms_reader import read_recordings
+from difffric.rig.setup import read_setup
 from fpga.emulator.emulator import emulated_card
 from tests.acquire_rate import answered
 from tests.compiler import needs_compiler

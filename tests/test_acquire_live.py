@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from difffric import parameters
-from difffric.acquire import Acquired, Command
-from difffric.estimates import NONE, Estimate, PushFriction
-from difffric.figures_acquire import envelope, strokes
-from difffric.hardware_check import Hardware
-from difffric.inversion_curve import Curve, _observed
-from difffric.live_identification import LivePush, contradictions
-from difffric.live_view import LivePlot, LiveView
-from difffric.recordings import Channel, Recording
-from difffric.reduction import Reduced
-from difffric.setup_file import read_setup
+from difffric.acquisition.hardware_check import Hardware
+from difffric.acquisition.recorder import Acquired, Command
+from difffric.commands.figures.acquire import envelope, strokes
+from difffric.commands.live_view import LivePlot, LiveView
+from difffric.identification.estimates import NONE, Estimate, PushFriction
+from difffric.identification.live import LivePush, contradictions
+from difffric.identification.tabulated_inversion import Curve, _observed
+from difffric.measurements.recordings import Channel, Recording
+from difffric.measurements.reduction.reduce import Reduced
+from difffric.rig import parameters
+from difffric.rig.setup import read_setup
 
 COMMAND = Command(0.05, 1.2e-3, 18.9)
 HARDWARE = Hardware(5272, True, 600, 50_000, False, 0, False, True)

@@ -8,7 +8,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from difffric.cli import app
+from difffric.commands.main import app
 from tests.browser import WIDTHS, browser, faults, needs_chromium
 
 __all__ = ["browser"]  # a fixture

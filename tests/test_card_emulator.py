@@ -20,12 +20,12 @@ from nifpga import FpgaViState
 from nifpga.nifpga import _NiFpga
 
 import difffric as df
-from difffric import card
-from difffric.acquire import Command, acquire
-from difffric.card import CardError, position_words, split_position
-from difffric.card_registers import AT_RESET, IRQ_PUSH_ENDED
-from difffric.simulated_card import SimulatedCard
-from difffric.tdms_file import read_recordings
+from difffric.acquisition import card
+from difffric.acquisition.card import CardError, position_words, split_position
+from difffric.acquisition.card_registers import AT_RESET, IRQ_PUSH_ENDED
+from difffric.acquisition.recorder import Command, acquire
+from difffric.acquisition.simulated_card import SimulatedCard
+from difffric.measurements.files.tdms_reader import read_recordings
 from fpga.emulator.emulator import (
     DESCRIPTION,
     RESOURCE,

@@ -7,8 +7,8 @@ import re
 import nifpga
 import pytest
 
-from difffric import card, card_registers
-from difffric.simulated_card import SimulatedCard
+from difffric.acquisition import card, card_registers
+from difffric.acquisition.simulated_card import SimulatedCard
 from fpga import generate
 
 INTERFACE = generate.load()

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from difffric import Belief, Known, centre, extended, spring_damper_rig
-from difffric.answer_centre import calibration, centre_answer
-from difffric.centering import identified
-from difffric.centering_runs import OURS, hidden_rings, runs
-from difffric.machine import Readings, SimulatedMachine
-from difffric.planning import WITHIN
-from difffric.rivals import NOMINAL, RIVALS, SLOWEST, SURROGATES
+from difffric.centering.loop import identified
+from difffric.centering.machine import Readings, SimulatedMachine
+from difffric.centering.planning import WITHIN
+from difffric.commands.reports.centre import calibration, centre_answer
+from difffric.studies.centering_runs import OURS, hidden_rings, runs
+from difffric.studies.other_centering import NOMINAL, RIVALS, SLOWEST, SURROGATES
 from difffric.units import from_um
 from tests.reference_machine import ReferenceMachine
 

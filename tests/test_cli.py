@@ -37,7 +37,7 @@ def setup(tmp_path):
 
 
 def run(home, *arguments, **environment):
-    command = [sys.executable, "-m", "difffric.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "difffric.commands.main", *map(str, arguments)]
     env = {**os.environ, "XDG_CACHE_HOME": str(home), **environment}
     return subprocess.run(command, capture_output=True, text=True, env=env, timeout=300)
 

@@ -15,13 +15,14 @@ import numpy as np
 import pytest
 
 import difffric as df
-from difffric import cli, parameters
-from difffric.answer_identify import summary_of
-from difffric.estimates import NONE, Estimate, Identified, PushFriction
-from difffric.recordings import Channel
-from difffric.report import rounded, writable
-from difffric.setup_file import Extras, Setup, read_setup
-from difffric.tdms_writer import write_recordings
+from difffric.commands import main
+from difffric.commands.reports.identify import summary_of
+from difffric.commands.reports.page import rounded, writable
+from difffric.identification.estimates import NONE, Estimate, Identified, PushFriction
+from difffric.measurements.files.tdms_writer import write_recordings
+from difffric.measurements.recordings import Channel
+from difffric.rig import parameters
+from difffric.rig.setup import Extras, Setup, read_setup
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SETUP, CSV, TDMS = (EXAMPLES / name for name in ("setup.toml", "pushes.csv", "pushes.tdms"))
@@ -41,14 +42,14 @@ def run(monkeypatch, capfd):
 
 
 def _runner(monkeypatch, capture=None):
-    monkeypatch.setattr(cli, "_prepare_jax", lambda: None)  # tests/conftest.py has done it
+    monkeypatch.setattr(main, "_prepare_jax", lambda: None)  # tests/conftest.py has done it
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["difffric", *map(str, arguments)])
         out = StringIO()
         catch = nullcontext() if capture else redirect_stdout(out)
         with pytest.raises(SystemExit) as stop, catch:
-            cli.main()
+            main.main()
         said = capture.readouterr() if capture else (out.getvalue(), "")
         return Done(int(stop.value.code or 0), *said)
 

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from difffric import cli
-from difffric.tdms_file import read_recordings
-from difffric.tdms_writer import RecordingWriter, Waveform
+from difffric.commands import main
+from difffric.measurements.files.tdms_reader import read_recordings
+from difffric.measurements.files.tdms_writer import RecordingWriter, Waveform
 from tests.monitor_kills import kills
 from tests.reference import files
 from tests.reference.data import MM_MIN, Rig, make_pushes, measure, record
@@ -55,12 +55,12 @@ class Done(NamedTuple):
 @pytest.fixture
 def run(monkeypatch, capfd):
     """A command line, in this process: exit status and what it said."""
-    monkeypatch.setattr(cli, "_prepare_jax", lambda: None)  # tests/conftest.py has done it
+    monkeypatch.setattr(main, "_prepare_jax", lambda: None)  # tests/conftest.py has done it
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["difffric", "monitor", *map(str, arguments), "--quiet"])
         with pytest.raises(SystemExit) as stop:
-            cli.main()
+            main.main()
         return Done(int(stop.value.code or 0), *capfd.readouterr())
 
     return run

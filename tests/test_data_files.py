@@ -17,15 +17,15 @@ from nptdms import ChannelObject, GroupObject, RootObject, TdmsFile, TdmsWriter
 
 import difffric as df
 from difffric import units
-from difffric.data_checks import checked_data
 from difffric.errors import InputError
-from difffric.measured import OF_RECORDING, QUANTITIES, decimal
-from difffric.pushes import COLUMNS, Pushes
-from difffric.recordings import Channel, Recording, Recordings
-from difffric.rig import spring_damper_rig
-from difffric.table_file import _plain, read_table, write_table
-from difffric.tdms_file import read_recordings
-from difffric.tdms_writer import RecordingWriter, Waveform, write_recordings
+from difffric.measurements.checks import checked_data
+from difffric.measurements.files.table_csv import _plain, read_table, write_table
+from difffric.measurements.files.tdms_reader import read_recordings
+from difffric.measurements.files.tdms_writer import RecordingWriter, Waveform, write_recordings
+from difffric.measurements.pushes import COLUMNS, Pushes
+from difffric.measurements.quantities import OF_RECORDING, QUANTITIES, decimal
+from difffric.measurements.recordings import Channel, Recording, Recordings
+from difffric.rig.rig import spring_damper_rig
 
 RIG = spring_damper_rig(mass=18.9, mu_s=0.141, k=8.0e5, b=1500.0)
 N = 3000
@@ -379,7 +379,7 @@ def test_layouts_read_as_nptdms_reads_them(toc, order):
 
 
 def test_small_chunks_far_apart_are_read_by_blocks(monkeypatch):
-    monkeypatch.setattr("difffric.tdms_samples._BLOCK", 400)
+    monkeypatch.setattr("difffric.measurements.files.tdms_samples._BLOCK", 400)
     rng = np.random.default_rng(1)
     data = rng.normal(size=(200, 4)).tobytes()
     layout = [("force", 1), ("position", 3)]
@@ -396,7 +396,7 @@ def test_small_chunks_far_apart_are_read_by_blocks(monkeypatch):
 def test_only_what_is_asked_for_is_read(monkeypatch):
     (push,) = read_recordings(tdms([group(), force()]))
     asked = []
-    into = "difffric.tdms_samples.OpenFile.into"
+    into = "difffric.measurements.files.tdms_samples.OpenFile.into"
     monkeypatch.setattr(
         into, lambda self, buffer, at: asked.append(buffer.nbytes) or not buffer.fill(0)
     )
@@ -595,7 +595,7 @@ def recorded(seed=0, n=N, **says) -> Recording:
 
 
 def test_recordings_written_read_as_the_same_to_the_last_bit(monkeypatch):
-    monkeypatch.setattr("difffric.tdms_writer._CHUNK", 1000)
+    monkeypatch.setattr("difffric.measurements.files.tdms_writer._CHUNK", 1000)
     told = Recordings(
         (
             recorded(0, mass=18.9, stroke=1.4654e-3, condition="DRY", mu_s_gauge=0.141),

@@ -11,12 +11,12 @@ import pytest
 from typer.testing import CliRunner
 
 import difffric as df
-from difffric.alternatives import alternatives
-from difffric.cause_search import Candidate
-from difffric.cli import app
-from difffric.misfit import PHASES
-from difffric.setup_file import Setup, read_setup
-from difffric.shape_scan import within_the_way
+from difffric.commands.main import app
+from difffric.diagnosis.alternatives import alternatives
+from difffric.diagnosis.exploration import Candidate
+from difffric.diagnosis.misfit import PHASES
+from difffric.diagnosis.shape_scan import within_the_way
+from difffric.rig.setup import Setup, read_setup
 from tests.browser import WIDTHS, browser, faults, needs_chromium
 from tests.hidden import heldout, random_case, write
 from tests.prediction import prediction_error

@@ -7,7 +7,7 @@ from urllib.parse import unquote
 import pytest
 
 import difffric
-from difffric import catalogue_page
+from difffric.commands import catalogue_page
 
 ROOT = Path(__file__).parents[1]
 TOP = [path for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md") if path.exists()]

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 import difffric as df
-from difffric import effects, parameters
-from difffric.closed_form import ClosedForm
 from difffric.errors import InputError
-from difffric.push import REGIMES
-from difffric.rig import spring_damper_rig
-from difffric.runge_kutta import RungeKutta
-from difffric.trajectory import simulate
+from difffric.rig import catalogue, parameters
+from difffric.rig.rig import spring_damper_rig
+from difffric.simulation.closed_form import ClosedForm
+from difffric.simulation.segments import REGIMES
+from difffric.simulation.stepping.integrator import RungeKutta
+from difffric.simulation.trajectory import simulate
 from tests.effect_rigs import (
     BY,
     EVERY,
@@ -36,7 +36,7 @@ from tests.reference import effects as reference
 from tests.reference.effect_parameters import BASE, EFFECTS
 
 PLAIN = spring_damper_rig(mass=12.0, mu_s=0.15, k=7e5, b=800.0, k_v=9.0, stroke=1.4e-3)
-VANISHING = [effects.CATALOGUE[name] for name in EVERY]
+VANISHING = [catalogue.CATALOGUE[name] for name in EVERY]
 SAMPLE = 10
 """Rigs per effect in the default run."""
 
@@ -89,7 +89,7 @@ def vanishing(effect, size="null"):
 @pytest.mark.parametrize("effect", VANISHING, ids=lambda effect: effect.id)
 @pytest.mark.parametrize("size", ["null", "typical"])
 def test_at_null_the_law_is_the_one_within(effect, size):
-    with_it = effects.extended(PLAIN, {effect.id: vanishing(effect, size)})
+    with_it = catalogue.extended(PLAIN, {effect.id: vanishing(effect, size)})
     inner, outer = (getattr(rig, effect.component) for rig in (PLAIN, with_it))
     assert type(outer) is effect.law and outer.law == inner
     for name, branch in BRANCHES[effect.component].items():
@@ -99,11 +99,11 @@ def test_at_null_the_law_is_the_one_within(effect, size):
             np.testing.assert_array_equal(branch(outer), branch(inner), name)
 
 
-@pytest.mark.parametrize("effect", effects.CATALOGUE.values(), ids=lambda effect: effect.id)
+@pytest.mark.parametrize("effect", catalogue.CATALOGUE.values(), ids=lambda effect: effect.id)
 def test_an_entry_is_whole(effect):
-    assert effects.CATALOGUE[effect.id] is effect and effect.text
+    assert catalogue.CATALOGUE[effect.id] is effect and effect.text
     assert effect.id in EFFECTS, "tests/reference does not know it"
-    typical = effects.extended(PLAIN, {effect.id: {key.name: key.typical for key in effect.keys}})
+    typical = catalogue.extended(PLAIN, {effect.id: {key.name: key.typical for key in effect.keys}})
     law = getattr(typical, effect.component)
     for key in effect.keys:
         assert key.lower <= key.typical <= key.upper and key.lower <= key.null <= key.upper
@@ -114,7 +114,7 @@ def test_an_entry_is_whole(effect):
 
 def test_the_rig_with_all_effects_has_one_structure():
     """What a compiled program is kept by, whichever effects are on."""
-    rig = effects.universal(PLAIN)
+    rig = catalogue.universal(PLAIN)
     kind = jax.tree.structure(parameters.as_arrays(rig))
     for effect in VANISHING:
         names = {f"{effect.id}.{key.name}": key.typical for key in effect.keys if not key.fixed}
@@ -133,7 +133,7 @@ def test_the_rig_with_all_effects_has_one_structure():
 )
 def test_refusals(asked, message):
     with pytest.raises(InputError, match=message):
-        effects.extended(PLAIN, asked)
+        catalogue.extended(PLAIN, asked)
 
 
 # Against the stored answers of the independent reference. How far they are off, relatively, where
@@ -280,7 +280,7 @@ def test_traces_are_the_reference_s():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("effect", effects.CATALOGUE)
+@pytest.mark.parametrize("effect", catalogue.CATALOGUE)
 def test_traces_with_each_effect_are_the_reference_s(effect):
     # Between steps the tip's travel behind a lag is known less well than the part's.
     traces_agree((effect,), (effect,), 1e-6 if effect == "pusher_lag" else 1e-7)

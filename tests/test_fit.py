@@ -13,16 +13,17 @@ import numpy as np
 import pytest
 
 import difffric as df
-from difffric import coordinates, mixed, parameters
-from difffric.arrow import Arrow
-from difffric.closed_form import ClosedForm
-from difffric.fit_data import table_data
-from difffric.mixed import Point
-from difffric.recordings import Channel, Recording, Recordings
-from difffric.responses import Grid, TracePush
-from difffric.sensors import ForceSensor
-from difffric.setup_file import Extras, Setup
-from difffric.slide_friction import slide_friction
+from difffric.compute.arrow import Arrow
+from difffric.estimation import coordinates, mixed_model
+from difffric.estimation.mixed_model import Point
+from difffric.estimation.residuals import Grid, TracePush
+from difffric.estimation.stacked_data import table_data
+from difffric.identification.free_slide import slide_friction
+from difffric.measurements.recordings import Channel, Recording, Recordings
+from difffric.rig import parameters
+from difffric.rig.sensors import ForceSensor
+from difffric.rig.setup import Extras, Setup
+from difffric.simulation.closed_form import ClosedForm
 from tests.reference import data as reference
 from tests.reference.traces import slide
 
@@ -277,7 +278,7 @@ def test_the_criterion_is_the_restricted_likelihood_of_the_dense_model():
     selection[:, 0, 0] = selection[:, 2, 1] = 1.0
     r, s_eta, group = rng.normal(size=(n, 2)), rng.normal(size=n), np.tile([0, -1], (n, 1))
     rows, weights = np.concatenate([J, r[..., None]], axis=2), np.tile([1.0, 2.0], (n, 1))
-    linear = mixed.linear_model(
+    linear = mixed_model.linear_model(
         rows, weights, group, [n], [1e-6], selection, np.zeros((3, 3)), s_eta, False
     )
     s, spread = 0.3, 0.7
@@ -330,7 +331,7 @@ def test_the_arrow_is_solved_as_the_dense_matrix(starts):
 
 def test_the_rows_of_a_table_are_measured_minus_model_and_its_derivatives(table):
     """Against `sensitivity`, which a 60-digit reference has checked."""
-    from difffric.derivatives import sensitivity
+    from difffric.simulation.sensitivities import sensitivity
 
     rig, data = table_data(parameters.with_stroke(rough(1, 1, 1), TRUE.stroke), table, (0.5, 3e-7))
     every = coordinates.names(rig)
@@ -351,7 +352,7 @@ def test_the_rows_of_a_table_are_measured_minus_model_and_its_derivatives(table)
 
 def test_the_triangle_of_a_recording_keeps_its_normal_equations(monkeypatch):
     """R' R = [J r]' [J r], and block means agree with the mean over their samples."""
-    from difffric import responses
+    from difffric.estimation import residuals
 
     rig = parameters.as_arrays(parameters.with_stroke(rough(1, 1, 1), 2e-3))
     size, dt = 4, 5e-5
@@ -378,7 +379,7 @@ def test_the_triangle_of_a_recording_keeps_its_normal_equations(monkeypatch):
     assert np.abs(rows[K + 1 :, -1]).max() < 2e-9 * np.sqrt(len(t))  # m
     kept = {}
     monkeypatch.setattr(
-        responses, "_triangle", lambda J, r: kept.setdefault(len(kept), jnp.column_stack([J, r]))
+        residuals, "_triangle", lambda J, r: kept.setdefault(len(kept), jnp.column_stack([J, r]))
     )
     push.respond(rig, ClosedForm(), c)
     for i, whole in kept.items():

@@ -16,12 +16,12 @@ import pytest
 from nptdms import TdmsFile, TdmsWriter
 
 import difffric as df
-from difffric import fleet, fleet_workers
-from difffric.estimates import WAYS
-from difffric.fleet import data_set, identify_fleet
-from difffric.fleet_archive import find
-from difffric.fleet_friction import friction
-from difffric.setup_file import read_setup
+from difffric.fleet import identify_archive, workers
+from difffric.fleet.archive import find
+from difffric.fleet.columns import friction
+from difffric.fleet.identify_archive import data_set, identify_fleet
+from difffric.identification.estimates import WAYS
+from difffric.rig.setup import read_setup
 from tests.fleet_study import children, kills, tree
 from tests.reference import data, files
 
@@ -141,7 +141,7 @@ def test_no_push_depends_on_those_beside_it(whole):
         setup = read_setup(
             next(iter(whole.folder.parent.parent.glob(f"*/archive/{name[0]}/setup.toml")))
         )
-        parts[name[0]] = setup, fleet.features.pushes_of(rows)
+        parts[name[0]] = setup, identify_archive.features.pushes_of(rows)
     together = pl.concat(friction(list(parts.values())))
     single = [friction([(s, p.select([i]))])[0] for s, p in parts.values() for i in range(len(p))]
     assert together.equals(pl.concat(single))
@@ -220,8 +220,8 @@ def test_a_run_cut_off_at_any_writing_ends_with_the_same_bits(made, whole, tmp_p
             raise Killed
         replace_file(source, target)
 
-    monkeypatch.setattr(fleet, "FILES", 2)
-    monkeypatch.setattr("difffric.whole_file.os.replace", die)
+    monkeypatch.setattr(identify_archive, "FILES", 2)
+    monkeypatch.setattr("difffric.atomic_files.os.replace", die)
     for k in range(20):
         left[0] = k
         try:
@@ -334,13 +334,13 @@ def test_several_workers_without_dask_name_the_extra(made, tmp_path, monkeypatch
 
 
 def test_a_scheduler_that_does_not_answer_is_told(monkeypatch, made, tmp_path):
-    monkeypatch.setattr(fleet_workers, "PATIENCE", 1)
+    monkeypatch.setattr(workers, "PATIENCE", 1)
     with pytest.raises(df.InputError, match="no scheduler answers"):
         identify_fleet(made, tmp_path / "out", scheduler="tcp://127.0.0.1:9")
 
 
 def difffric(*arguments):
-    call = [sys.executable, "-m", "difffric.cli", *map(str, arguments)]
+    call = [sys.executable, "-m", "difffric.commands.main", *map(str, arguments)]
     return subprocess.run(call, cwd=ROOT, capture_output=True, text=True, timeout=300)
 
 

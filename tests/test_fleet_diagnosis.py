@@ -12,16 +12,16 @@ from scipy import stats
 from typer.testing import CliRunner
 
 import difffric as df
-from difffric import fleet_diagnosis, fleet_rig
-from difffric.answer_fleet_diagnosis import fleet_diagnosis_answer, fleet_diagnosis_report
-from difffric.cli import app
-from difffric.fleet_archive import find
-from difffric.fleet_diagnosis import diagnose_fleet
-from difffric.fleet_sample import MOST, over_speeds, sample
-from difffric.fleet_sharing import SIGNIFICANT, combined, differing
-from difffric.fleet_verdict import FleetDiagnosis
-from difffric.pooling import holm, left_out, odd_ones, pooled, sharing, summed
-from difffric.report import render
+from difffric.commands.main import app
+from difffric.commands.reports.fleet_diagnosis import fleet_diagnosis_answer, fleet_diagnosis_report
+from difffric.commands.reports.page import render
+from difffric.fleet import diagnose_archive, member
+from difffric.fleet.archive import find
+from difffric.fleet.diagnose_archive import diagnose_fleet
+from difffric.fleet.meta_analysis import holm, left_out, odd_ones, pooled, sharing, summed
+from difffric.fleet.sample import MOST, over_speeds, sample
+from difffric.fleet.shared_effects import SIGNIFICANT, combined, differing
+from difffric.fleet.verdict import FleetDiagnosis
 from tests.browser import WIDTHS, browser, faults, needs_chromium
 from tests.hidden import random_case, write
 from tests.reference import data, files
@@ -382,15 +382,15 @@ def quick(monkeypatch):
             return "its pushes could not be followed"
         made = answer(rig.name, *[cause("stribeck", 0.02, 0.001)] * (rig.name < "c"))
         Path(rig.folder).mkdir(parents=True, exist_ok=True)
-        (Path(rig.folder) / fleet_rig.SETUP).write_text("")
-        fleet_rig._keep(Path(rig.folder) / fleet_rig.RESULT, rig.key, made)
+        (Path(rig.folder) / member.SETUP).write_text("")
+        member._keep(Path(rig.folder) / member.RESULT, rig.key, made)
 
     def ask(question):
         done.append((question.effect, question.rig.name))
-        fleet_rig._keep(question.path, question.key, {"excess": 40.0})
+        member._keep(question.path, question.key, {"excess": 40.0})
 
-    monkeypatch.setattr(fleet_diagnosis, "examine", examine)
-    monkeypatch.setattr(fleet_diagnosis, "ask", ask)
+    monkeypatch.setattr(diagnose_archive, "examine", examine)
+    monkeypatch.setattr(diagnose_archive, "ask", ask)
     return done
 
 
@@ -442,7 +442,7 @@ def test_what_nobody_foresaw_in_one_rig_stops_no_other(archive, tmp_path, monkey
     def fails(setup, some, **options):
         raise RuntimeError("a program could\nnot be compiled")
 
-    monkeypatch.setattr(fleet_rig, "diagnose", fails)
+    monkeypatch.setattr(member, "diagnose", fails)
     with pytest.raises(df.InputError, match="a: RuntimeError: a program could not be compiled"):
         diagnose_fleet(archive, tmp_path / "out")
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import difffric as df
-from difffric import parameters
-from difffric.path import follow, follow_together
-from difffric.runge_kutta import RungeKutta
+from difffric.rig import parameters
+from difffric.simulation.stepping.integrator import RungeKutta
+from difffric.simulation.stepping.path import follow, follow_together
 from tests.effect_rigs import OPTIONS
 
 VELOCITY = np.array([0.01, 0.03, 0.05, 0.08])

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from nptdms import ChannelObject, GroupObject, TdmsWriter
 
 from difffric.errors import InputError
-from difffric.measured import QUANTITIES
-from difffric.setup_file import read_setup
-from difffric.table_file import read_table
-from difffric.tdms_file import CHANNELS, read_recordings
+from difffric.measurements.files.table_csv import read_table
+from difffric.measurements.files.tdms_reader import CHANNELS, read_recordings
+from difffric.measurements.quantities import QUANTITIES
+from difffric.rig.setup import read_setup
 from tests.test_setup_file import FULL
 
 SHARED = settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

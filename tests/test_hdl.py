@@ -10,9 +10,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from difffric import card_registers
-from difffric.card import position_words
-from difffric.hardware_check import Watch
+from difffric.acquisition import card_registers
+from difffric.acquisition.card import position_words
+from difffric.acquisition.hardware_check import Watch
 from fpga import clip, generate
 from tests.hdl import control_tests, core_tests, reference, simulate
 from tests.hdl.coverage import covered

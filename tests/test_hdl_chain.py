@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 import difffric as df
-from difffric.acquire import Command, acquire
-from difffric.card import METRES_PER_COUNT, VOLTS_PER_WORD, split_position
-from difffric.data_checks import checked_data
-from difffric.live_identification import contradictions
-from difffric.reduction import reduce_recordings
-from difffric.setup_file import read_setup
-from difffric.simulated_rig import SimulatedRig
-from difffric.tdms_file import read_recordings
+from difffric.acquisition.card import METRES_PER_COUNT, VOLTS_PER_WORD, split_position
+from difffric.acquisition.recorder import Command, acquire
+from difffric.commands.simulated_rig import SimulatedRig
+from difffric.identification.live import contradictions
+from difffric.measurements.checks import checked_data
+from difffric.measurements.files.tdms_reader import read_recordings
+from difffric.measurements.reduction.reduce import reduce_recordings
+from difffric.rig.setup import read_setup
 from fpga.emulator.emulator import emulated_card
 from tests.compiler import needs_compiler
 from tests.hdl import simulate

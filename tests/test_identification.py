@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import difffric as df
-from difffric import parameters
-from difffric.bracketed_newton import solve
-from difffric.derivatives import regime_margin, sensitivity
-from difffric.inversion import BRACKET, FLAT, invert
+from difffric.compute.bracketed_newton import solve
+from difffric.identification.inversion import BRACKET, FLAT, invert
+from difffric.rig import parameters
+from difffric.simulation.sensitivities import regime_margin, sensitivity
 
 PAPER = {"mass": 18.9, "mu_s": 0.141, "k": 8.0e5, "b": 1500.0, "k_v": 5.0}
 QUANTITIES = ("peak_force", "sliding_distance")

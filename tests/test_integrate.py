@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from difffric.closed_form import ClosedForm
-from difffric.contact import AbstractContact
 from difffric.errors import InputError
-from difffric.friction import AbstractFriction
-from difffric.integrate import Diffrax
-from difffric.observables import observe
-from difffric.push import REASONS
-from difffric.pusher import ConstantSpeed
-from difffric.rig import Rig, spring_damper_rig
-from difffric.runge_kutta import RungeKutta
+from difffric.rig.contact import AbstractContact
+from difffric.rig.friction import AbstractFriction
+from difffric.rig.pusher import ConstantSpeed
+from difffric.rig.rig import Rig, spring_damper_rig
+from difffric.simulation.closed_form import ClosedForm
+from difffric.simulation.diffrax_reference import Diffrax
+from difffric.simulation.observables import observe
+from difffric.simulation.segments import REASONS
+from difffric.simulation.stepping.integrator import RungeKutta
 from tests.effect_rigs import OPTIONS
 
 G = 9.80665

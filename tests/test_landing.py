@@ -10,8 +10,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from difffric import RungeKutta, extended, observe, parameters, simulate, spring_damper_rig
-from difffric.landing import pushed, stroke_to
+from difffric import RungeKutta, extended, observe, simulate, spring_damper_rig
+from difffric.centering.landing import pushed, stroke_to
+from difffric.rig import parameters
 from difffric.units import from_mm_min, from_um
 from tests.reference import traces
 

@@ -14,15 +14,15 @@ import pytest
 from scipy import stats
 
 import difffric as df
-from difffric import evidence
-from difffric.change_cause import verdict
-from difffric.change_point import change_point
 from difffric.errors import InputError
-from difffric.friction_level import Level
-from difffric.monitor import Monitor
-from difffric.push_reading import Reader
-from difffric.self_starting import Cells, Spread
-from difffric.setup_file import Setup
+from difffric.monitoring import shiryaev_roberts
+from difffric.monitoring.baseline import Cells, Spread
+from difffric.monitoring.change_cause import verdict
+from difffric.monitoring.change_point import change_point
+from difffric.monitoring.local_level import Level
+from difffric.monitoring.monitor import Monitor
+from difffric.monitoring.readings import Reader
+from difffric.rig.setup import Setup
 from tests.reference.data import MM_MIN, Rig, make_pushes, measure
 
 TRUE = Rig(m=18.9, mu_s=0.141, ratio=0.75, k_v=5.0, k=8e5, b=1500.0, scatter=0.015, stroke=1.2e-3)
@@ -59,11 +59,13 @@ def fed(monitor: Monitor, columns: dict, first: int = 0, last: int | None = None
 
 def run_lengths(arl, shift, n=400, steps=600, seed=0):
     """Pushes to the first alarm after a shift of z, (n,); those without any are left out."""
-    rng, log_R = np.random.default_rng(seed), np.repeat(evidence.nothing()[None], n, axis=0)
+    rng, log_R = np.random.default_rng(seed), np.repeat(shiryaev_roberts.nothing()[None], n, axis=0)
     found = np.full(n, np.nan)
     for i in range(1, steps + 1):
-        log_R = evidence.updated(log_R, rng.standard_normal((n, 2)) + np.array(shift))
-        new = np.isnan(found) & (evidence.total(log_R) >= evidence.log_threshold(arl))
+        log_R = shiryaev_roberts.updated(log_R, rng.standard_normal((n, 2)) + np.array(shift))
+        new = np.isnan(found) & (
+            shiryaev_roberts.total(log_R) >= shiryaev_roberts.log_threshold(arl)
+        )
         found[new] = i
     return found
 
@@ -74,10 +76,10 @@ def run_lengths(arl, shift, n=400, steps=600, seed=0):
 @pytest.mark.parametrize("arl", [50.0, 200.0])
 def test_false_alarms_come_as_seldom_as_stated(arl):
     rng, n = np.random.default_rng(3), 500
-    log_R, alarms, steps = np.repeat(evidence.nothing()[None], n, axis=0), 0, round(8 * arl)
+    log_R, alarms, steps = np.repeat(shiryaev_roberts.nothing()[None], n, axis=0), 0, round(8 * arl)
     for _ in range(steps):
-        log_R = evidence.updated(log_R, rng.standard_normal((n, 2)))
-        over = evidence.total(log_R) >= evidence.log_threshold(arl)
+        log_R = shiryaev_roberts.updated(log_R, rng.standard_normal((n, 2)))
+        over = shiryaev_roberts.total(log_R) >= shiryaev_roberts.log_threshold(arl)
         alarms += over.sum()
         log_R[over] = -np.inf
     # The first run of each has its whole length ahead: that is 1/16 of all here.
@@ -87,10 +89,10 @@ def test_false_alarms_come_as_seldom_as_stated(arl):
 def test_the_statistic_grows_by_one_a_push_in_expectation():
     """What the bound on the run length rests on: R_n - n is a martingale."""
     rng, n = np.random.default_rng(4), 200_000
-    log_R = np.repeat(evidence.nothing()[None], n, axis=0)
+    log_R = np.repeat(shiryaev_roberts.nothing()[None], n, axis=0)
     for i in range(1, 4):
-        log_R = evidence.updated(log_R, rng.standard_normal((n, 2)))
-        R = np.exp(evidence.total(log_R))
+        log_R = shiryaev_roberts.updated(log_R, rng.standard_normal((n, 2)))
+        R = np.exp(shiryaev_roberts.total(log_R))
         assert abs(R.mean() - i) < 5 * R.std() / np.sqrt(n)
 
 
@@ -104,7 +106,7 @@ def test_the_overshoot_is_that_of_a_random_walk(delta):
         new = np.isnan(over) & (walk >= far)
         over[new] = walk[new] - far
     seen = np.exp(-over)
-    assert abs(seen.mean() - evidence.overshoot(delta)) < 4 * seen.std() / np.sqrt(n)
+    assert abs(seen.mean() - shiryaev_roberts.overshoot(delta)) < 4 * seen.std() / np.sqrt(n)
 
 
 def test_both_signs_and_both_channels_are_watched():
@@ -113,11 +115,11 @@ def test_both_signs_and_both_channels_are_watched():
 
 
 def test_one_wild_push_alone_is_no_alarm():
-    log_R = evidence.nothing()
-    log_R = evidence.updated(log_R, np.array([1e3, 0.0]))
-    assert evidence.total(log_R) < evidence.log_threshold(1000)
-    log_R = evidence.updated(log_R, np.array([1e3, 0.0]))
-    assert evidence.total(log_R) >= evidence.log_threshold(1000)
+    log_R = shiryaev_roberts.nothing()
+    log_R = shiryaev_roberts.updated(log_R, np.array([1e3, 0.0]))
+    assert shiryaev_roberts.total(log_R) < shiryaev_roberts.log_threshold(1000)
+    log_R = shiryaev_roberts.updated(log_R, np.array([1e3, 0.0]))
+    assert shiryaev_roberts.total(log_R) >= shiryaev_roberts.log_threshold(1000)
 
 
 @pytest.mark.parametrize("prior", [0.0, 3.0])

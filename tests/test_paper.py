@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import difffric as df
-from difffric import paper
-from difffric.answer_paper import paper_report
-from difffric.families import family
-from difffric.report import plain, write
-from difffric.surrogate import PUBLISHED_DISTANCE, PUBLISHED_FORCE, weighted
+from difffric.commands.reports.page import plain, write
+from difffric.commands.reports.paper import paper_report
+from difffric.identification.surrogates import PUBLISHED_DISTANCE, PUBLISHED_FORCE, weighted
+from difffric.simulation.families import family
+from difffric.studies import paper
 from difffric.units import from_mm_min
 from tests.browser import WIDTHS, browser, faults, needs_chromium
 

@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from difffric import Belief, InputError, Known, parameters, plan, spring_damper_rig
-from difffric.planning import _SHARES, WITHIN, landed, options, speeds_between
-from difffric.setup_file import Extras, Setup
+from difffric import Belief, InputError, Known, plan, spring_damper_rig
+from difffric.centering.planning import _SHARES, WITHIN, landed, options, speeds_between
+from difffric.rig import parameters
+from difffric.rig.setup import Extras, Setup
 from difffric.units import from_mm_min, from_um
 from tests.reference import traces
 

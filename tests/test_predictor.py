@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 
 import difffric as df
-from difffric import parameters
-from difffric.answer_export import export_answer, export_report, files_of
+from difffric.commands.reports.export import export_answer, export_report, files_of
+from difffric.commands.reports.page import plain
 from difffric.errors import InputError, NumericalError
-from difffric.predictor import (
+from difffric.identification.controller.domain import Line, determined
+from difffric.identification.controller.fitting import drawn, fit_predictor, homogeneous, readings
+from difffric.identification.controller.predictor import (
     BY_DISTANCE,
     BY_FORCE,
     DETERMINED,
@@ -27,9 +29,7 @@ from difffric.predictor import (
     Box,
     Predictor,
 )
-from difffric.predictor_domain import Line, determined
-from difffric.predictor_fit import drawn, fit_predictor, homogeneous, readings
-from difffric.report import plain
+from difffric.rig import parameters
 from difffric.units import from_mm_min
 from tests.compiler import needs_compiler
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import difffric as df
-from difffric import own_folder, programs
-from difffric.programs import FOLDER, kept
+from difffric.compute import private_folder, program_cache
+from difffric.compute.program_cache import FOLDER, kept
 
 ROOT = Path(__file__).parents[1]
 RIG = df.spring_damper_rig(mass=18.9, mu_s=0.141, mu_k_over_mu_s=0.75, k_v=5.0, k=8e5, b=1500.0)
@@ -26,7 +26,7 @@ def folder(tmp_path, monkeypatch):
     root = tmp_path / "programs"
     monkeypatch.setenv(FOLDER, str(root))
     yield root
-    programs._folder.cache_clear()
+    program_cache._folder.cache_clear()
 
 
 @pytest.fixture
@@ -39,17 +39,17 @@ def package(tmp_path):
 
 
 def test_a_law_changed_two_folders_down_makes_another_program(folder, package, monkeypatch):
-    monkeypatch.setattr(programs, "_PACKAGE", package.parents[2])
-    before = programs._made_with()
-    assert programs._made_with() == before
+    monkeypatch.setattr(program_cache, "_PACKAGE", package.parents[2])
+    before = program_cache._made_with()
+    assert program_cache._made_with() == before
     package.write_text("mu_k = 0.8\n", encoding="utf-8")
-    changed = programs._made_with()
+    changed = program_cache._made_with()
     package.rename(package.with_name("contact.py"))
-    assert len({before, changed, programs._made_with()}) == 3
+    assert len({before, changed, program_cache._made_with()}) == 3
 
 
 def test_the_package_that_makes_a_program_is_this_one():
-    assert {"__init__.py", "programs.py"} <= {p.name for p in programs._PACKAGE.rglob("*.py")}
+    assert {"__init__.py", "programs.py"} <= {p.name for p in program_cache._PACKAGE.rglob("*.py")}
 
 
 def files_of(root):
@@ -134,8 +134,8 @@ def test_what_is_damaged_or_others_may_write_is_made_anew(folder, damage):
 
 def test_another_version_has_a_folder_of_its_own(folder, monkeypatch):
     counted()[0](*ARGUMENTS)
-    monkeypatch.setattr(programs, "_made_with", lambda: "another")
-    programs._folder.cache_clear()
+    monkeypatch.setattr(program_cache, "_made_with", lambda: "another")
+    program_cache._folder.cache_clear()
     function, traced = counted()
     function(*ARGUMENTS)
     assert traced and len(files_of(folder)) == 2
@@ -199,28 +199,28 @@ def test_observables_are_those_of_the_library_without_it(folder, monkeypatch):
 
 @needs_users
 def test_a_folder_that_others_may_write_is_refused(tmp_path, monkeypatch, capsys):
-    assert own_folder.made(tmp_path / "new" / "folder")
+    assert private_folder.made(tmp_path / "new" / "folder")
     assert (tmp_path / "new" / "folder").stat().st_mode & 0o777 == 0o700
     shared = tmp_path / "shared"
     shared.mkdir()
     for mode in (0o720, 0o702, 0o777):
         shared.chmod(mode)
-        assert not own_folder.made(shared)
+        assert not private_folder.made(shared)
     shared.chmod(0o755)
-    assert own_folder.made(shared)
+    assert private_folder.made(shared)
     (tmp_path / "link").symlink_to(shared)
-    assert not own_folder.made(tmp_path / "link")
+    assert not private_folder.made(tmp_path / "link")
     (tmp_path / "file").touch()
-    assert not own_folder.made(tmp_path / "file" / "below")
+    assert not private_folder.made(tmp_path / "file" / "below")
     monkeypatch.setenv(FOLDER, str(shared))
     uid = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: uid + 1)
-    assert not own_folder.made(shared)
+    assert not private_folder.made(shared)
     function, _ = counted()
     function(*ARGUMENTS)
     assert "compiled programs are not kept" in capsys.readouterr().err
     assert not files_of(shared)
-    programs._folder.cache_clear()
+    program_cache._folder.cache_clear()
 
 
 def test_what_a_killed_process_may_have_left_is_swept(tmp_path):
@@ -231,11 +231,11 @@ def test_what_a_killed_process_may_have_left_is_swept(tmp_path):
     for second, path in enumerate((old, mark, torn)):
         path.touch()
         os.utime(path, (1e9 + second, 1e9 + second))
-    own_folder.swept(tmp_path)
+    private_folder.swept(tmp_path)
     own = tmp_path / f".difffric-{os.getpid()}"
     assert set(tmp_path.iterdir()) == {old, own}
     (tmp_path / "new").touch()
-    own_folder.swept(tmp_path)
+    private_folder.swept(tmp_path)
     assert (tmp_path / "new").exists()
 
 
@@ -243,7 +243,8 @@ def command(*arguments, **environment):
     unset = ("JAX_COMPILATION_CACHE_DIR", FOLDER)
     rest = {k: x for k, x in os.environ.items() if k not in unset}
     return subprocess.Popen(
-        [sys.executable, "-m", "difffric.cli", *arguments], cwd=ROOT, env=rest | environment,
+        [sys.executable, "-m", "difffric.commands.main", *arguments],
+        cwd=ROOT, env=rest | environment,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
 
@@ -265,7 +266,7 @@ def test_processes_at_once_share_a_cache_and_a_foreign_one_is_not_touched(tmp_pa
     run = command(*IDENTIFY, XDG_CACHE_HOME=str(tmp_path / "foreign"))
     out, err = run.communicate(timeout=300)
     assert run.returncode == 0 and out == told[0][0]
-    assert len(err.splitlines()) == 2 and err.count(own_folder.REFUSED) == 2
+    assert len(err.splitlines()) == 2 and err.count(private_folder.REFUSED) == 2
     assert not files_of(foreign)
 
 

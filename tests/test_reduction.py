@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from difffric.errors import InputError
-from difffric.local_fit import Stretch, best_window, fit_window, powers
-from difffric.noise import (
+from difffric.measurements.noise import (
     Noise,
     lag_one,
     ljung_box,
@@ -26,8 +25,14 @@ from difffric.noise import (
     whiten,
     whitening,
 )
-from difffric.recordings import Channel, Recording, Recordings
-from difffric.reduction import (
+from difffric.measurements.recordings import Channel, Recording, Recordings
+from difffric.measurements.reduction.local_polynomials import (
+    Stretch,
+    best_window,
+    fit_window,
+    powers,
+)
+from difffric.measurements.reduction.reduce import (
     NEVER_RESTS,
     RESTS_IN_CONTACT,
     WITHOUT_CONTACT,

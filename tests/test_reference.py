@@ -15,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from difffric.derivatives import sensitivity
-from difffric.observables import observe
-from difffric.parameters import pick, spread
-from difffric.push import REGIMES, TOO_MANY_CONTACTS
-from difffric.rig import spring_damper_rig
+from difffric.rig.parameters import pick, spread
+from difffric.rig.rig import spring_damper_rig
+from difffric.simulation.observables import observe
+from difffric.simulation.segments import REGIMES, TOO_MANY_CONTACTS
+from difffric.simulation.sensitivities import sensitivity
 
 FILE = json.loads((Path(__file__).parent / "reference" / "cases.json").read_text())
 CASES = FILE["cases"]

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from difffric.centering.ring import FORM, measure, surface
+from difffric.centering.ring_csv import load_ring, write_ring
 from difffric.errors import InputError
-from difffric.ring import FORM, measure, surface
-from difffric.ring_file import load_ring, write_ring
 from tests.reference import rings
 
 R, NOISE = 0.05, 0.3e-6

@@ -11,7 +11,15 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 import difffric as df
-from difffric.sampling import DSP, FPGA, Sampled, Sampler, mean_loss, sampled, sampled_friction
+from difffric.studies.sampling import (
+    DSP,
+    FPGA,
+    Sampled,
+    Sampler,
+    mean_loss,
+    sampled,
+    sampled_friction,
+)
 from difffric.units import from_mm_min
 from tests import sampling_study as study
 

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 import difffric as df
-from difffric import compiling
-from difffric.marginal_likelihood import _log_integral, minus_2_log_likelihood
-from difffric.noise import noise_of
+from difffric.calibration.marginal_likelihood import _log_integral, minus_2_log_likelihood
+from difffric.compute import xla_options
+from difffric.measurements.noise import noise_of
 from tests import study
 from tests.reference import data as reference
 
@@ -96,8 +96,8 @@ def test_a_program_compiled_soon_gives_the_same_numbers(monkeypatch):
         return jnp.sin(x) * n
 
     x = jnp.linspace(0.0, 1.0, 7)
-    assert np.allclose(compiling.soon_compiled(f)(x, 2), f(x, 2), rtol=1e-14)
+    assert np.allclose(xla_options.soon_compiled(f)(x, 2), f(x, 2), rtol=1e-14)
     unknown = {"no_such_option": False}
-    monkeypatch.setattr(compiling, "_OPTIONS", unknown)
-    assert compiling.known_options(unknown) is None
-    assert np.allclose(compiling.soon_compiled(f)(x, 3), f(x, 3), rtol=1e-14)
+    monkeypatch.setattr(xla_options, "_OPTIONS", unknown)
+    assert xla_options.known_options(unknown) is None
+    assert np.allclose(xla_options.soon_compiled(f)(x, 3), f(x, 3), rtol=1e-14)

@@ -15,19 +15,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from difffric import calibration, effects, friction, parameters
-from difffric.answer_simulate import simulate_answer
+from difffric.calibration import calibrate
+from difffric.calibration.result import Fit
+from difffric.commands.reports.simulate import simulate_answer
 from difffric.errors import InputError
-from difffric.fitted import Fit
-from difffric.pushes import Pushes
-from difffric.rig import spring_damper_rig
-from difffric.setup_file import Extras, Setup, checked, load_setup, read_setup, write_setup
-from difffric.trajectory import simulate
+from difffric.measurements.pushes import Pushes
+from difffric.rig import catalogue, friction, parameters
+from difffric.rig.rig import spring_damper_rig
+from difffric.rig.setup import Extras, Setup, checked, load_setup, read_setup, write_setup
+from difffric.simulation.trajectory import simulate
 from tests.test_setup_file import MINIMAL
 
 PLAIN = spring_damper_rig(mass=18.9, mu_s=0.141, k=8.0e5, b=1500.0)
 PLAIN_2MM = parameters.with_stroke(PLAIN, 2e-3)
-EVERY = list(effects.CATALOGUE.values())
+EVERY = list(catalogue.CATALOGUE.values())
 each_effect = pytest.mark.parametrize("effect", EVERY, ids=lambda effect: effect.id)
 
 
@@ -70,7 +71,7 @@ def test_a_table_adds_the_effect(file, effect):
     text = f"[effects.{effect.id}]\n"
     text += "\n".join(f"{key} = {value!r}" for key, value in typical(effect).items())
     setup = read_setup(file(text))
-    assert same(setup.rig, effects.extended(PLAIN, {effect.id: typical(effect)}))
+    assert same(setup.rig, catalogue.extended(PLAIN, {effect.id: typical(effect)}))
     assert setup.extras == {}
 
 
@@ -84,7 +85,7 @@ def test_effects_stand_in_the_catalogues_order(file):
 def test_missing_keys_are_null(file):
     path = file("[effects.friction_waviness]\nwavelength_m = 0.002\n")
     assert same(
-        load_setup(path), effects.extended(PLAIN, {"friction_waviness": {"wavelength_m": 0.002}})
+        load_setup(path), catalogue.extended(PLAIN, {"friction_waviness": {"wavelength_m": 0.002}})
     )
 
 
@@ -119,7 +120,7 @@ acceleration_m_per_s2 = { value = 10, free = false }
 """)
     setup = read_setup(path)
     sizes = {"stribeck": {"v_s_m_per_s": 0.02}, "pusher_ramp": {"acceleration_m_per_s2": 10.0}}
-    assert same(setup.rig, effects.extended(PLAIN, sizes))
+    assert same(setup.rig, catalogue.extended(PLAIN, sizes))
     assert setup.extras == {
         "stribeck.v_s_m_per_s": Extras(standard_error=1e-3, free=True, upper=0.1),
         "stribeck.delta": Extras(standard_error=0.1),
@@ -133,7 +134,7 @@ acceleration_m_per_s2 = { value = 10, free = false }
 def test_an_infinite_null_may_be_written(file):
     path = file("[effects.force_saturation]\nlevel_N = inf\n[effects.force_highpass]\ntau_s = inf")
     assert same(
-        load_setup(path), effects.extended(PLAIN, {"force_saturation": {}, "force_highpass": {}})
+        load_setup(path), catalogue.extended(PLAIN, {"force_saturation": {}, "force_highpass": {}})
     )
 
 
@@ -245,7 +246,7 @@ def test_a_fit_that_ends_at_a_bound_can_be_written(tmp_path, effect):
     for key in effect.keys:
         for bound in (key.lower, key.upper):
             if not key.fixed and np.isfinite(bound) and (bound != 0 or key.null == 0):
-                rig = effects.extended(PLAIN, {effect.id: typical(effect) | {key.name: bound}})
+                rig = catalogue.extended(PLAIN, {effect.id: typical(effect) | {key.name: bound}})
                 write_setup(rig, tmp_path / "setup.toml")
                 assert same(load_setup(tmp_path / "setup.toml"), rig)
 
@@ -273,11 +274,11 @@ extras = st.none() | st.builds(
 def test_an_effect_comes_back_as_it_was_written(tmp_path_factory, effect, data):
     path = tmp_path_factory.getbasetemp() / "effect.toml"
     values = {key.name: data.draw(number(key), key.name) for key in effect.keys}
-    rig = effects.extended(PLAIN, {effect.id: values})
+    rig = catalogue.extended(PLAIN, {effect.id: values})
     inverse = [f"{effect.id}.{key.name}" for key in effect.keys if key.inverse]
     if inverse and data.draw(st.booleans(), "from a fit"):  # any float, not only an inverse of one
         held = {name: data.draw(st.floats(1e-300, 1e300), name) for name in inverse}
-        rig = effects.with_numbers(rig, held)
+        rig = catalogue.with_numbers(rig, held)
     tables = {f"{effect.id}.{key}": data.draw(extras, f"extras of {key}") for key in values}
     setup = Setup(rig, None, {name: x for name, x in tables.items() if x is not None})
     write_setup(setup, path)
@@ -289,14 +290,14 @@ def test_an_effect_comes_back_as_it_was_written(tmp_path_factory, effect, data):
 def test_an_inverse_is_written_as_a_person_wrote_it(tmp_path_factory, acceleration):
     path = tmp_path_factory.getbasetemp() / "inverse.toml"
     number = float(f"{acceleration:.12g}")
-    write_setup(effects.extended(PLAIN, {"pusher_ramp": {"acceleration_m_per_s2": number}}), path)
+    write_setup(catalogue.extended(PLAIN, {"pusher_ramp": {"acceleration_m_per_s2": number}}), path)
     assert f"\nacceleration_m_per_s2 = {number!r}\n" in path.read_text()
 
 
 def test_all_effects_at_once_come_back(tmp_path):
     path = tmp_path / "setup.toml"
-    all_of_them = effects.extended(PLAIN, {effect.id: typical(effect) for effect in EVERY})
-    for rig in (all_of_them, effects.universal(PLAIN)):
+    all_of_them = catalogue.extended(PLAIN, {effect.id: typical(effect) for effect in EVERY})
+    for rig in (all_of_them, catalogue.universal(PLAIN)):
         write_setup(rig, path)
         assert same(load_setup(path), rig)
 
@@ -304,8 +305,8 @@ def test_all_effects_at_once_come_back(tmp_path):
 def test_jax_numbers_are_written_and_what_pushes_say_is_not(tmp_path):
     path = tmp_path / "setup.toml"
     drift = {"drift": jnp.asarray(0.1), "share": 0.5}
-    write_setup(effects.extended(PLAIN, {"friction_drift": drift}), path)
-    assert same(load_setup(path), effects.extended(PLAIN, {"friction_drift": {"drift": 0.1}}))
+    write_setup(catalogue.extended(PLAIN, {"friction_drift": drift}), path)
+    assert same(load_setup(path), catalogue.extended(PLAIN, {"friction_drift": {"drift": 0.1}}))
 
 
 class Greased(friction.FrictionEffect):
@@ -339,10 +340,10 @@ def test_what_the_file_cannot_say_is_refused(tmp_path, monkeypatch):
     assert refused(Setup(PLAIN, extras={"tilt.alpha_rad": Extras(free=True)})) == [
         "setup.toml: tilt.alpha_rad: the file has no such number"
     ]
-    assert refused(effects.extended(PLAIN, {"presliding": {}})) == [
+    assert refused(catalogue.extended(PLAIN, {"presliding": {}})) == [
         "setup.toml: [effects.presliding] sigma_0_N_per_m: expected a finite number > 0, got inf"
     ]
-    batch = effects.extended(PLAIN, {"pusher_ramp": {"acceleration_m_per_s2": jnp.ones(3)}})
+    batch = catalogue.extended(PLAIN, {"pusher_ramp": {"acceleration_m_per_s2": jnp.ones(3)}})
     assert refused(batch) == [
         "setup.toml: [effects.pusher_ramp] acceleration_m_per_s2: expected one number, "
         "got an array of shape (3,)"
@@ -353,8 +354,12 @@ def test_what_the_file_cannot_say_is_refused(tmp_path, monkeypatch):
 
 
 def test_good_rigs_pass_unchanged():
-    every = effects.extended(PLAIN, {effect.id: typical(effect) for effect in EVERY})
-    for rig in (every, effects.universal(PLAIN), effects.universal(parameters.spread(PLAIN, 3))):
+    every = catalogue.extended(PLAIN, {effect.id: typical(effect) for effect in EVERY})
+    for rig in (
+        every,
+        catalogue.universal(PLAIN),
+        catalogue.universal(parameters.spread(PLAIN, 3)),
+    ):
         assert checked(rig) is rig
 
 
@@ -366,7 +371,7 @@ def test_all_values_out_of_range_are_named():
         "force_saturation": {"level_N": math.nan},
         "force_gain": {"factor": "1"},
     }
-    rig = effects.extended(spring_damper_rig(mass=1.0, mu_s=-0.1, k=1e5, b=0.0), sizes)
+    rig = catalogue.extended(spring_damper_rig(mass=1.0, mu_s=-0.1, k=1e5, b=0.0), sizes)
     with pytest.raises(InputError) as caught:
         checked(rig)
     assert str(caught.value).splitlines() == [
@@ -381,7 +386,7 @@ def test_all_values_out_of_range_are_named():
 
 def test_traced_values_pass():
     def load(alpha):
-        return checked(effects.extended(PLAIN, {"tilt": {"alpha_rad": alpha}})).F_N
+        return checked(catalogue.extended(PLAIN, {"tilt": {"alpha_rad": alpha}})).F_N
 
     assert jax.grad(load)(0.0) == 0.0
 
@@ -393,7 +398,7 @@ STRIBECK = "[pusher]\nstroke_mm = 2\n[effects.stribeck]\nv_s_m_per_s = {}\n"
 
 def test_simulate_takes_the_effect(file):
     found = simulate_answer(load_setup(file(STRIBECK.format(0.02))), 0.05)
-    push = simulate(effects.extended(PLAIN_2MM, {"stribeck": {"v_s_m_per_s": 0.02}}), 0.05)
+    push = simulate(catalogue.extended(PLAIN_2MM, {"stribeck": {"v_s_m_per_s": 0.02}}), 0.05)
     assert found["peak_force_N"] == pytest.approx(float(push.peak_force), rel=1e-12)
     assert found["sliding_distance_m"] == pytest.approx(float(push.sliding_distance), rel=1e-12)
     assert found["derivatives"]["sliding_distance_m"]["stribeck.v_s_m_per_s"] < 0
@@ -408,10 +413,10 @@ def test_fit_frees_what_the_file_frees_and_the_answer_can_be_written(file, monke
         seen.append(model.layout)
         raise InputError("enough")
 
-    monkeypatch.setattr(calibration, "best_fit", search)
+    monkeypatch.setattr(calibrate, "best_fit", search)
     speeds = np.linspace(0.02, 0.09, 8)
     with pytest.raises(InputError, match="enough"):
-        calibration.fit(setup, Pushes(speeds, speeds * 3000, speeds**2))
+        calibrate.fit(setup, Pushes(speeds, speeds * 3000, speeds**2))
     (layout,) = seen
     at = layout.names.index("stribeck.v_s_m_per_s")
     assert layout.value(layout.start)["stribeck.v_s_m_per_s"] == pytest.approx(0.02, rel=1e-15)
@@ -426,7 +431,7 @@ def test_fit_frees_what_the_file_frees_and_the_answer_can_be_written(file, monke
     )  # fmt: skip
     write_setup(found.fitted_setup, "setup.toml")
     written = read_setup("setup.toml")
-    assert same(written.rig, effects.extended(PLAIN_2MM, {"stribeck": {"v_s_m_per_s": 0.03}}))
+    assert same(written.rig, catalogue.extended(PLAIN_2MM, {"stribeck": {"v_s_m_per_s": 0.03}}))
     error = found.standard_error(layout.labels[at])
     assert written.extras["stribeck.v_s_m_per_s"] == Extras(error, True, None, 0.1)
 
@@ -435,7 +440,7 @@ def test_fit_frees_what_the_file_frees_and_the_answer_can_be_written(file, monke
 def test_an_effect_keeps_its_sensor_s_numbers(component):
     """The same hardware stands behind an effect of its reading."""
     plain = spring_damper_rig(mass=18.9, mu_s=0.141, k=8e5, b=1500.0)
-    real = effects.universal(plain)
+    real = catalogue.universal(plain)
     for name in ("sensitivity", "range", "rate", "noise", "resolution"):
         if hasattr(getattr(plain, component), name):
             assert getattr(getattr(real, component), name) == getattr(

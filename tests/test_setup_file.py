@@ -17,12 +17,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from difffric import units
-from difffric.contact import AbstractContact
 from difffric.errors import InputError
-from difffric.pusher import ConstantSpeed
-from difffric.rig import Rig, spring_damper_rig
-from difffric.sensors import ForceSensor, Probe
-from difffric.setup_file import (
+from difffric.rig.contact import AbstractContact
+from difffric.rig.pusher import ConstantSpeed
+from difffric.rig.rig import Rig, spring_damper_rig
+from difffric.rig.sensors import ForceSensor, Probe
+from difffric.rig.setup import (
     QUANTITIES,
     Extras,
     Setup,

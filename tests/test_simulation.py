@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import difffric as df
-from difffric.affine import Oscillator, Slide
-from difffric.push import FREE, Push
+from difffric.simulation.oscillator import Oscillator, Slide
+from difffric.simulation.segments import FREE, Push
 from difffric.units import GRAVITY
 from tests.reference import ode
 

@@ -11,15 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import difffric as df
-from difffric import parameters
+from difffric.calibration.identifiability import identifiable
+from difffric.calibration.optimal_push import next_push
+from difffric.calibration.profiles import profile
 from difffric.errors import InputError
-from difffric.identifiability import identifiable
-from difffric.optimal_push import next_push
-from difffric.profiles import profile
-from difffric.recordings import Channel, Recording, Recordings
-from difffric.sensors import ForceSensor
-from difffric.setup_file import Extras, Setup
-from difffric.undetermined import undetermined
+from difffric.estimation.open_parameters import undetermined
+from difffric.measurements.recordings import Channel, Recording, Recordings
+from difffric.rig import parameters
+from difffric.rig.sensors import ForceSensor
+from difffric.rig.setup import Extras, Setup
 from tests.reference import data as reference
 
 CALIBRATED = ("k_N_per_m", "b_N_s_per_m", "k_v_N_s_per_m", "mu_s")

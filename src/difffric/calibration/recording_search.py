@@ -1,0 +1,191 @@
+"""The fit of whole recordings: from where peaks and distances lead, down every sample."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from threading import Thread
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.calibration.multistart import ALIKE, FACTORS, REFINED, Tell, descents, first_search
+from difffric.calibration.table_starts import fit_of_forces, other_branches
+from difffric.errors import InputError, NumericalError
+from difffric.estimation import coordinates
+from difffric.estimation.mixed_fit import (
+    ROUNDS,
+    Model,
+    Settled,
+    around,
+    descent_to_compile,
+    first_point,
+    settle,
+    unstuck,
+)
+from difffric.estimation.stacked_data import (
+    FitData,
+    as_if_white,
+    sensor_errors,
+    table_data,
+    traces_data,
+)
+from difffric.measurements.noise import Noise
+from difffric.measurements.reduction.reduce import Reduction
+from difffric.rig import parameters
+
+_LOOSE = 1e-5
+"""How far a distance may be off [m] where it only leads to a start."""
+_FITS = 1.15
+"""A reduced chi-square above this makes a fit try its other starts too, until two agree."""
+_COLOURED = 0.3
+"""Noise more correlated than this is first taken to be white: differences of samples, which
+whitening looks at, have a narrower basin than the samples."""
+_TRUST = 1e3
+_GUARD = 2e-5
+"""How far a free start may move a jump [s]: samples that near are left out."""
+_LAST_ROUNDS = 4
+_POOR = 1.15
+"""A push whose chi-square per sample is above this may have its mu_s on a wrong branch."""
+
+
+@dataclass(frozen=True)
+class SampleSearch:
+    """Fits the recordings of `reduction`; `model` says what of the rig is free."""
+
+    model: Model
+    reduction: Reduction
+    box: list[NDArray]
+    """starts"""
+    tell: Tell
+    thorough: bool = True
+    """whether further starts are followed where the fit is poor"""
+
+    def run(self) -> tuple[Model, FitData, Settled, tuple[int, int]]:
+        """The best fit, and how many of the starts that were followed lead to it.
+
+        Raises `NumericalError` where no start gives a finite misfit.
+        """
+        compiling = self._compile()
+        best, reached, tried = None, 0, 0
+        searches: tuple[Callable[[], list[Settled | None]], ...] = (
+            self._forces_first, self._tables_first, lambda: [None],
+        )  # fmt: skip
+        for search in searches:
+            try:
+                starts = search()
+            except (InputError, NumericalError):
+                continue
+            compiling.join()
+            for start in starts:
+                tried += 1
+                self.tell("fitting every sample", 0.4 + 0.1 * min(tried, 5))
+                try:
+                    found = self._follow(start)
+                except NumericalError:
+                    continue
+                chi2 = found[2].components.chi2
+                if best is None or chi2 < best[2].components.chi2 - ALIKE:
+                    best, reached = found, 0
+                reached += chi2 < best[2].components.chi2 + ALIKE
+                good = best[2].components.chi2 < _FITS * best[1].samples
+                if reached > 1 or good or not self.thorough:
+                    return *best, (reached, tried)
+        if best is None:
+            raise NumericalError("fit: no start gives a finite misfit")
+        return *best, (reached, tried)
+
+    def _loose_table(self) -> tuple[Model, FitData]:
+        """Peaks and distances, which only lead to where the samples decide."""
+        rig = self.model.rig
+        rig, data = table_data(rig, self.reduction.pushes, sensor_errors(rig))
+        sd = np.hypot(1.0 / np.maximum(data.rough, 1e-300), [0.0, _LOOSE])
+        data = replace(data, rough=np.where(data.rough > 0, 1.0 / sd, 0.0))
+        return replace(self.model, rig=rig, free_start=False), data
+
+    def _forces_first(self) -> list[Settled | None]:
+        """Where F_p alone and then d too lead."""
+        model, data = self._loose_table()
+        found = fit_of_forces(model, data, self.box)
+        if found is None:
+            return []
+        starts = [found[0].theta, self.box[0]]
+        return [at for _, at, _ in descents(model, data, starts, self.tell)[:1]]
+
+    def _tables_first(self) -> list[Settled | None]:
+        """Where the whole search of a table leads."""
+        model, data = self._loose_table()
+        return [at for _, at, _ in first_search(model, data, self.box, self.tell)[:REFINED]]
+
+    def _compile(self) -> Thread:
+        """Have the program that fits the samples compiled, beside those that the searches need.
+
+        It is traced first: two threads that trace at once keep each other waiting.
+        """
+        model, data = self._samples(None)
+        traced = descent_to_compile(model, data, first_point(model, data, self.box[0]))
+        compiling = Thread(target=traced.compile, daemon=True)
+        compiling.start()
+        return compiling
+
+    def _samples(self, jumps: NDArray | None, stiffest: float = 0.0) -> tuple[Model, FitData]:
+        """The samples as a fit takes them, in blocks that suit a contact `stiffest` [N/m], or
+        three times as stiff as the set-up says."""
+        rig, pushes = self.model.rig, self.reduction.pushes
+        known = float(parameters.values(rig)["k_N_per_m"])
+        lightest = np.nanmin([float(rig.mass), *pushes.mass])
+        rig, data = traces_data(
+            rig,
+            self.reduction.recordings,
+            self.reduction.details,
+            float(np.sqrt(2 * max(stiffest, FACTORS["k_N_per_m"] * known) / lightest)),
+            len(coordinates.names(rig)),
+            jumps,
+            _GUARD if self.model.free_start else 0.0,
+        )
+        return replace(self.model, rig=rig), data
+
+    def _follow(self, start: Settled | None) -> tuple[Model, FitData, Settled]:
+        """Fit the samples, leaving out those beside the jumps of the model as it stands."""
+        theta = self.box[0] if start is None else start.theta
+        named = self.model.layout.value(theta).items()
+        stiffest = max([0.0, *(v for x, v in named if x.startswith("k_N_per_m"))])
+        model, data = self._samples(None, stiffest)
+        at = first_point(model, data, theta)
+        if start is not None:
+            at = replace(at, s_eta=start.s_eta)
+        if any(abs(x.correlation) > _COLOURED for x in self._noise()):
+            rough = settle(model, as_if_white(data), at, trust=_TRUST, rounds=_LAST_ROUNDS)
+            at = replace(first_point(model, data, rough.theta), s_eta=rough.s_eta)
+        at = settle(model, data, at, trust=_TRUST)
+        rounds, elsewhere = ROUNDS, [self._branches, around]
+        while rounds > _LAST_ROUNDS:
+            jumps = np.asarray(at.end.jumps)[: data.n]
+            model, data = self._samples(jumps, stiffest)
+            rounds = rounds // 2
+            at = settle(model, data, at, trust=_TRUST, rounds=rounds)
+            while elsewhere and (_misfit(data, at) > _POOR).any():
+                other = unstuck(model, data, at, elsewhere.pop(0)(at))
+                at = at if other is at else settle(model, data, other, trust=_TRUST)
+            if _same(jumps, np.asarray(at.end.jumps)[: data.n]):
+                break
+        return model, data, at
+
+    def _noise(self) -> list[Noise]:
+        found = self.reduction.details[0]
+        return [x for x in (found.noise_force, found.noise_position) if x is not None]
+
+    def _branches(self, at: Settled) -> list[NDArray]:
+        """Each push's log mu_s by which F_p and d are as they were measured."""
+        model, data = self._loose_table()
+        return other_branches(model, data, replace(at, weights=data.rough))
+
+
+def _misfit(data: FitData, at: Settled) -> NDArray:
+    """(n,) each push's chi-square per sample."""
+    rows = at.weights * np.asarray(at.end.rows)[: data.n, :, -1]
+    return np.sum(rows**2, axis=1) / data.samples_of
+
+
+def _same(old: NDArray, new: NDArray) -> bool:
+    return old.shape == new.shape and bool(np.allclose(old, new, atol=2e-6, rtol=0))

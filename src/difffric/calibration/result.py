@@ -1,0 +1,296 @@
+"""What a calibration gives: the rig, and how well the data determine each number of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from difffric.estimation.coordinates import slope, to_value
+from difffric.estimation.open_parameters import undetermined, units
+from difffric.measurements.pushes import Pushes
+from difffric.rig import parameters
+from difffric.rig.rig import Rig
+from difffric.rig.setup import Extras, Setup
+
+LEVELS = (0.68, 0.95, 0.997)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A calibrated rig, with what the data say of each free parameter.
+
+    `covariance` is that of the free parameters' coordinates (`coordinates`: logarithms, and k_v
+    as it is), for the noise as it was known or estimated: it is not scaled by the reduced
+    chi-square. A spread that was not estimated is NaN.
+    """
+
+    rig: Rig
+    """mu_s is the mean where conditions differ"""
+    kind: str
+    """`table`, `slides` or `recordings`"""
+    free: tuple[str, ...]
+    """labels as results write them: `k_N_per_m`, `mu_s[DRY]`"""
+    names: tuple[str, ...]
+    """the parameter behind each label"""
+    theta: NDArray
+    """(free,) coordinates"""
+    held: tuple[str, ...]
+    """free parameters that went to a bound"""
+    covariance: NDArray
+    ahead: NDArray
+    """(free,) how far beyond its bound the unbounded estimate of one that is held lies"""
+    freedom: NDArray
+    """(free,) degrees of freedom of the t-distribution of each: `mixed.components`"""
+    scatter: float
+    """relative standard deviation of mu_s from push to push"""
+    scatter_se: float
+    """NaN: it was not estimated, or is zero"""
+    spread_force: float
+    spread_distance: float
+    chi2: float
+    degrees_of_freedom: int
+    converged: bool
+    """settled, and on an answer that can be one: `notes` says why not"""
+    starts_at_optimum: tuple[int, int]
+    """starts that reached the optimum, of how many"""
+    conditions: tuple[str, ...]
+    """an entry a push"""
+    mu_s: NDArray
+    """(n,) each push's own"""
+    mu_s_se: NDArray
+    start: NDArray
+    """(n,) start offsets [s]"""
+    peak_force: NDArray
+    """the calibrated model's F_p [N]"""
+    sliding_distance: NDArray
+    """the calibrated model's d [m], NaN where it does not exist"""
+    noise: dict[str, dict[str, float]] = field(default_factory=dict)
+    """what is known of each channel's noise: level, correlation"""
+    samples: int = 0
+    left_out: int = 0
+    """samples (block means) left out because they lie beside a jump"""
+    notes: tuple[str, ...] = ()
+    """what a reader should know"""
+    skipped: tuple[str, ...] = ()
+    setup: Setup | None = None
+    """the set-up that the fit started from"""
+    work: Any = None
+    """the fit's own state, for profiles and predictions"""
+    pushes: Pushes | None = None
+    """what it was fitted to, checked; recordings as they were reduced. Not in `result.json`"""
+    push_names: tuple[str, ...] = ()
+    """of the recordings' groups, an entry a push; empty for other data"""
+
+    @property
+    def vanished(self) -> tuple[str, ...]:
+        """Free parameters that went to zero."""
+        gone = [self.value(x) <= 1e-2 * (x[:2] != "mu") for x in self.held]
+        return tuple(x for x, zero in zip(self.held, gone, strict=True) if zero)
+
+    @property
+    def reduced_chi2(self) -> float:
+        """Chi-square over its degrees of freedom."""
+        return self.chi2 / max(self.degrees_of_freedom, 1)
+
+    def index(self, label: str) -> int:
+        """Where a label stands among the free parameters."""
+        return self.free.index(label)
+
+    def value(self, label: str) -> float:
+        """A parameter's value [SI], by its label, or by the name of one that is not free."""
+        if label in self.free:
+            i = self.index(label)
+            if label in self.held and self.theta[i] <= -7.0 and label == "b_N_s_per_m":
+                return 0.0
+            return float(to_value(self.names[i], self.theta[i]))
+        return float(parameters.values(self.rig)[label])
+
+    def standard_error(self, label: str, scaled: bool = False) -> float | None:
+        """A free parameter's standard error [SI]; None at a bound, and where nothing depends on
+        it. `scaled` by the root of the reduced chi-square, as where the noise is known up to a
+        factor only."""
+        i = self.index(label)
+        if label in self.held or self.covariance[i, i] == 0:
+            return None
+        error = abs(slope(self.names[i], self.value(label))) * np.sqrt(self.covariance[i, i])
+        return float(error * (np.sqrt(self.reduced_chi2) if scaled else 1.0))
+
+    def interval(self, label: str, level: float = 0.95) -> tuple[float, float] | None:
+        """Confidence interval [SI] from the t-distribution of the coordinate. At a bound it
+        reaches from there to where the unbounded estimate's ends, which may be the bound; None
+        where the data do not feel the parameter any more."""
+        i = self.index(label)
+        variance = self.covariance[i, i]
+        if label in self.held and variance == 0:
+            return None
+        half = scipy.stats.t.ppf(0.5 + level / 2, self.freedom[i]) * np.sqrt(variance)
+        centre = self.theta[i] + self.ahead[i]
+        low, high = (float(to_value(self.names[i], centre + s * half)) for s in (-1, 1))
+        if label in self.held:
+            value = self.value(label)
+            low, high = (value, max(value, high)) if self.ahead[i] < 0 else (min(value, low), value)
+        return (max(low, 0.0), high)
+
+    @property
+    def correlation(self) -> NDArray:
+        """Correlations of the free parameters, without bounds; 0 for one that went to zero where
+        no data feel it."""
+        s = np.sqrt(np.diag(self.covariance))
+        s = np.where(s > 0, s, np.inf)
+        return self.covariance / np.outer(s, s) + np.diag(np.isinf(s).astype(float))
+
+    @property
+    def not_identifiable(self) -> list[dict]:
+        """Free parameters that these data do not determine, with the reason: at a bound, or as
+        `undetermined` says."""
+        out = []
+        for label in self.free:
+            if label in self.held:
+                at = "zero" if label in self.vanished else f"{self.value(label):.6g}"
+                side = "lower" if self._at_lower(label) else "upper"
+                out.append({"parameters": [label], "reason": f"at its {side} bound, {at}"})
+        open_ = [i for i, label in enumerate(self.free) if label not in self.held]
+        covariance = self.covariance[np.ix_(open_, open_)]
+        names = [self.names[i] for i in open_]
+        unit = units(self.rig, names, self._fastest)
+        return out + undetermined([self.free[i] for i in open_], names, covariance, unit)
+
+    @property
+    def _fastest(self) -> float:
+        """The fastest of the pushes, or of the slides' releases [m/s]; 0: not known."""
+        if self.work is None:
+            return 0.0
+        pushes = self.work[1].pushes
+        slides = hasattr(pushes, "release_velocity")
+        return float(np.max(pushes.release_velocity if slides else pushes.velocity))
+
+    def _at_lower(self, label: str) -> bool:
+        return label in self.vanished or self.names[self.index(label)] != "mu_k_over_mu_s"
+
+    def for_condition(self, condition: str) -> tuple[Rig, dict[str, int]]:
+        """The rig of one condition, and its free parameters (but mu_s) with their columns."""
+        columns, new = {}, {}
+        for j, (label, name) in enumerate(zip(self.free, self.names, strict=True)):
+            if label in (name, f"{name}[{condition}]"):
+                new[name] = self.value(label)
+                if name != "mu_s":
+                    columns[name] = j
+        return parameters.with_values(self.rig, new), columns
+
+    @property
+    def fitted_setup(self) -> Setup:
+        """The set-up with the fitted values and their standard errors."""
+        old = self.setup or Setup(self.rig)
+        extras = dict(old.extras)
+        for label, name in zip(self.free, self.names, strict=True):
+            known = extras.get(name, Extras())
+            one = label == name
+            extras[name] = Extras(
+                standard_error=self.standard_error(label) if one else None,
+                free=True,
+                lower=known.lower,
+                upper=known.upper,
+            )
+        scatter = old.mu_s_scatter
+        if np.isfinite(self.scatter_se) or (self.scatter == 0 and scatter is not None):
+            scatter = self.scatter
+        return Setup(self.rig, scatter, extras)
+
+    def as_dict(self) -> dict:
+        """The calibration as `result.json` holds it."""
+        correlation = self.correlation
+        found = {}
+        for label in self.free:
+            interval = self.interval(label)
+            found[label] = {
+                "value": self.value(label),
+                "standard_error": self.standard_error(label),
+                "standard_error_scaled": self.standard_error(label, scaled=True),
+                "interval_95": None if interval is None else list(interval),
+                "degrees_of_freedom": self.freedom[self.index(label)],
+            }
+        return {
+            "parameters": found,
+            "correlation": {
+                a: {b: float(correlation[i, j]) for j, b in enumerate(self.free) if j > i}
+                for i, a in enumerate(self.free[:-1])
+            },
+            "not_identifiable": self.not_identifiable,
+            "reduced_chi2": self.reduced_chi2,
+            "chi2": self.chi2,
+            "degrees_of_freedom": self.degrees_of_freedom,
+            "converged": self.converged,
+            "starts_at_optimum": list(self.starts_at_optimum),
+            "mu_s_scatter": {"value": self.scatter, "standard_error": self.scatter_se},
+            "spread_peak_force_N": self.spread_force,
+            "spread_sliding_distance_m": self.spread_distance,
+            "data": self.kind,
+            "samples": self.samples,
+            "left_out_beside_jumps": self.left_out,
+            "noise": self.noise,
+            "pushes": [
+                {
+                    "condition": c,
+                    "mu_s": {"value": mu, "standard_error": se},
+                    "start_offset_s": t,
+                    "peak_force_N": F,
+                    "sliding_distance_m": d,
+                }
+                for c, mu, se, t, F, d in zip(
+                    self.conditions, self.mu_s, self.mu_s_se, self.start, self.peak_force,
+                    self.sliding_distance, strict=True,
+                )
+            ],
+            "notes": list(self.notes),
+            "skipped": list(self.skipped),
+        }  # fmt: skip
+
+    def __str__(self) -> str:
+        """The fit report, in the form that lmfit made familiar."""
+        reached, of = self.starts_at_optimum
+        lines = [
+            f"[[Fit]] {len(self.mu_s)} pushes ({self.kind}), {self.samples} measured numbers",
+            f"    chi-square         = {self.chi2:.6g}",
+            f"    reduced chi-square = {self.reduced_chi2:.6g}"
+            f"  ({self.degrees_of_freedom} degrees of freedom)",
+            f"    converged          = {'yes' if self.converged else 'no'}"
+            f"  ({reached} of {of} starts reach this optimum)",
+            "[[Parameters]] standard errors from the noise, not scaled by chi-square",
+        ]
+        width = max(len(x) for x in (*self.free, "mu_s_scatter"))
+        for label in self.free:
+            value, error = self.value(label), self.standard_error(label)
+            said = (
+                f"+/- {error:.3g} ({100 * error / abs(value):.2f} %)"
+                if error is not None and value
+                else "(at its bound)"
+                if error is None
+                else f"+/- {error:.3g}"
+            )
+            lines.append(f"    {label:<{width}} = {value:.7g} {said}")
+        error = f"+/- {self.scatter_se:.2g}" if np.isfinite(self.scatter_se) else "(fixed)"
+        lines.append(f"    {'mu_s_scatter':<{width}} = {self.scatter:.4g} {error}")
+        correlation = self.correlation
+        pairs = sorted(
+            (
+                (abs(correlation[i, j]), correlation[i, j], a, self.free[j])
+                for i, a in enumerate(self.free)
+                for j in range(i + 1, len(self.free))
+                if abs(correlation[i, j]) > 0.1
+            ),
+            reverse=True,
+        )
+        if pairs:
+            lines.append("[[Correlations]] above 0.1")
+            lines += [f"    C({a}, {b}) = {c:+.3f}" for _, c, a, b in pairs]
+        if self.not_identifiable:
+            lines.append("[[Not determined by these data]]")
+            lines += [
+                f"    {', '.join(x['parameters'])}: {x['reason']}" for x in self.not_identifiable
+            ]
+        lines += [f"    note: {note}" for note in self.notes]
+        return "\n".join(lines)

@@ -1,0 +1,52 @@
+"""docs/catalogue.md from `effects`: `python -m difffric.catalogue_page > docs/catalogue.md`."""
+
+from __future__ import annotations
+
+import inspect
+
+from difffric.rig import catalogue
+from difffric.rig.catalogue import CATALOGUE, RATIO, Effect
+
+_HEAD = """# The catalogue
+
+What `difffric diagnose` looks for, one section an effect: its law with its source (that of the
+class in the code), the keys of `[effects.ID]`, what one sees of it, what it is confused with, and
+what separates it. Made from `effects.py` by `python -m difffric.catalogue_page`; the equations of
+all effects together stand in [effects.md](effects.md).
+"""
+
+
+def _keys(effect: Effect) -> str:
+    rows = [
+        f"`{key.name}` (null {key.null:g}, typical {key.typical:g}"
+        + (", fixed)" if key.fixed else ")")
+        for key in effect.keys
+    ]
+    return ", ".join(rows)
+
+
+def _section(name: str, component: str, law: str, keys: str, signs) -> str:
+    sign, confused, separated = signs
+    alike = ", ".join(f"[`{x}`](#{x})" for x in confused) or "nothing of the catalogue"
+    return (
+        f"## {name}\n\n*{component.replace('_', ' ')}*\n\n{law}\n\n"
+        f"- **Keys:** {keys}\n- **One sees:** {sign}.\n- **Confused with:** {alike}.\n"
+        f"- **What separates it:** {separated}.\n"
+    )
+
+
+def markdown() -> str:
+    """The page."""
+    parts = [_HEAD]
+    for effect in CATALOGUE.values():
+        law = inspect.getdoc(effect.law) or ""
+        signs = effect.sign, effect.confused, effect.separated
+        parts.append(_section(effect.id, effect.component, law, _keys(effect), signs))
+    law = "`mu_k = ratio mu_s` with another ratio: a parameter of equation (1) itself."
+    keys = "`ratio` (null: the set-up's, typical 0.8)"
+    parts.append(_section(RATIO, catalogue.FRICTION, law, keys, catalogue.RATIO_SIGNS))
+    return "\n".join(parts)
+
+
+if __name__ == "__main__":
+    print(markdown(), end="")

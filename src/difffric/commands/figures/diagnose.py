@@ -1,0 +1,136 @@
+"""Figures of a diagnosis: where the misfit sits before and after, and what each effect explains."""
+
+from __future__ import annotations
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from difffric.commands.figures.style import STYLE, new_figure
+from difffric.diagnosis.location import Location
+from difffric.diagnosis.misfit import Misfit
+from difffric.diagnosis.verdict import Diagnosis
+from difffric.units import to_mm_min
+
+_BEFORE, _AFTER = "#c0392b", "#2c6fbb"
+
+
+def misfit(found: Diagnosis) -> Figure:
+    """Chi-square per number of each push, force and position, before and after."""
+    data, _, _, before, after = found.work
+    counts = np.maximum(data.task.counts, 1)
+    v = to_mm_min(np.asarray(data.measured.velocity))
+    order = np.argsort(v, kind="stable")
+    x = np.arange(len(v))
+    with matplotlib.rc_context(STYLE):
+        figure, axes = new_figure(2, 9.6, 3.8, sharey=True)
+        names = ("force", "position" if data.task.model.recordings else "sliding distance")
+        for k, (ax, name) in enumerate(zip(axes, names, strict=True)):
+            for chi2, colour, label, shift in (
+                (before.chi2, _BEFORE, "plain model", -0.15),
+                (after.chi2, _AFTER, "with its causes", 0.15),
+            ):
+                if label != "plain model" and not found.causes:
+                    continue
+                ax.plot(
+                    x + shift, (chi2[:, k] / counts[:, k])[order], "o", ms=4, color=colour,
+                    label=label,
+                )  # fmt: skip
+            ax.axhline(1.0, color="0.5", lw=1, ls=":")
+            ax.set(yscale="log", title=name, xlabel="push, by speed [mm/min]")
+            ax.set_xticks(x[:: max(1, len(x) // 7)])
+            ax.set_xticklabels([f"{s:.0f}" for s in v[order][:: max(1, len(x) // 7)]])
+        axes[0].set_ylabel("squared residual per number,\nin units of the noise (1 is perfect)")
+        axes[0].legend(frameon=False, fontsize=9)
+    return figure
+
+
+_SCALE = {"m/s": (to_mm_min(1.0), "mm/min"), "m": (1e3, "mm"), "s": (1e3, "ms"), "": (1.0, "")}
+
+
+def where(found: Diagnosis) -> Figure:
+    """The misfit by phase and over what changes during a push and between pushes, before and
+    after."""
+    channels = list(dict.fromkeys(one.channel for one in found.misfit))
+    columns = list(dict.fromkeys(one.by for one in found.misfit))
+    with matplotlib.rc_context(STYLE):
+        rows, width = len(channels), 2.2 * len(columns)
+        options = {"rows": rows, "sharey": "row", "squeeze": False}
+        figure, axes = new_figure(len(columns), width, 2.4 * rows, **options)
+        for ax in axes.flat:
+            ax.set_visible(False)
+        for one in found.misfit:
+            ax = axes[channels.index(one.channel), columns.index(one.by)]
+            ax.set_visible(True)
+            _one(ax, one, bool(found.causes))
+            if one.channel == channels[0]:
+                ax.set_title(one.by)
+        for row, channel in enumerate(channels):
+            axes[row, 0].set_ylabel(f"{channel}\n(1 is perfect)")
+    return figure
+
+
+def _one(ax, one: Misfit, causes: bool) -> None:
+    scale, unit = _SCALE[one.unit]
+    named = isinstance(one.at[0], str)
+    x = np.arange(len(one.at)) if named else scale * np.array(one.at, float)
+    for y, colour, there in ((one.before, _BEFORE, True), (one.after, _AFTER, causes)):
+        if there:
+            ax.plot(x, y, "o" if named else "o-", ms=4, lw=1, color=colour)
+    ax.axhline(1.0, color="0.5", lw=1, ls=":")
+    every = [*one.before, *(one.after if causes else ())]
+    if max(every) > 30 * max(min(every), 0.1):
+        ax.set_yscale("log")
+    if named:
+        ax.set_xticks(x, one.at, rotation=30, ha="right", fontsize=8)
+        ax.set_xlim(-0.5, len(x) - 0.5)
+    elif unit:
+        ax.set_xlabel(f"[{unit}]")
+
+
+def residuals(found: Diagnosis, shown: int = 3) -> Figure:
+    """Whitened residuals over time of the pushes that fit worst, before and after."""
+    data, plain, extended, before, _ = found.work
+    task = data.task
+    worst = np.argsort(-before.chi2.sum(axis=1) / task.counts.sum(axis=1))[:shown]
+    with matplotlib.rc_context(STYLE):
+        figure, axes = new_figure(len(worst), 3.4 * len(worst), 4.6, rows=2, squeeze=False)
+        for column, i in enumerate(worst):
+            for k, blocks in enumerate(task.model.pushes.data):
+                ax, there = axes[k, column], blocks.a[i] > 0
+                t = 0.5e3 * (blocks.t[i][blocks.first[i]] + blocks.t[i][blocks.second[i]])[there]
+                for fits, colour, width in ((plain, _BEFORE, 0.9), (extended, _AFTER, 0.9)):
+                    if fits is extended and not found.causes:
+                        continue
+                    ax.plot(t, fits.residual[0, i, k][there], color=colour, lw=width, alpha=0.8)
+                ax.axhline(0.0, color="0.5", lw=0.8)
+                ax.set_xlim(t[0], t[-1])
+                if k == 0:
+                    ax.set_title(f"{to_mm_min(float(data.measured.velocity[i])):.0f} mm/min")
+                else:
+                    ax.set_xlabel("time [ms]")
+        axes[0, 0].set_ylabel("force residual\n[standard deviations]")
+        axes[1, 0].set_ylabel("position residual\n[standard deviations]")
+    return figure
+
+
+def location(found: Location) -> Figure:
+    """What each free form explains, and the best one's curve with its band."""
+    with matplotlib.rc_context(STYLE):
+        figure, axes = new_figure(2, 9.6, 3.6)
+        names = sorted(found.explained, key=lambda name: found.explained[name])
+        colours = [_AFTER if name == found.form else "0.7" for name in names]
+        shares = [100 * found.explained[name] for name in names]
+        axes[0].barh([name.replace("_", " ") for name in names], shares, color=colours)
+        axes[0].set(xlabel="share of the misfit that it explains [%]", xlim=(0, 100))
+        scale, unit = (1e3, "m" + found.unit) if found.unit != "N" else (1.0, "N")
+        x, y, se = scale * found.x, 100 * found.correction, 100 * found.standard_error
+        axes[1].fill_between(x, y - 2 * se, y + 2 * se, color=_AFTER, alpha=0.2, lw=0)
+        axes[1].plot(x, y, color=_AFTER)
+        axes[1].axhline(0.0, color="0.5", lw=0.8)
+        room = 0.3 * np.ptp(y) + 1e-9
+        axes[1].set(
+            xlabel=f"{found.quantity} [{unit}]", ylabel="correction [%]", xlim=(0, x[-1]),
+            ylim=(y.min() - room, y.max() + room), title=found.form.replace("_", " "),
+        )  # fmt: skip
+    return figure

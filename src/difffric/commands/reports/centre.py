@@ -1,0 +1,191 @@
+"""`difffric centre`: rings centred on a simulated machine, as result.json holds them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.centering.planning import Known
+from difffric.commands.reports.page import Picture, Report, Section, Table, number
+from difffric.commands.reports.plan import step_answer
+from difffric.studies.centering_runs import OURS, Run
+from difffric.studies.other_centering import RIVALS
+from difffric.units import to_um
+
+
+def centre_answer(found: Sequence[Run], known: Known, seed: int) -> dict:
+    """All runs, as `difffric centre` writes them."""
+    return {
+        "within_m": known.within,
+        "seed": seed,
+        "ways": {way: _way(found, way, known) for way in dict.fromkeys(r.way for r in found)},
+        "calibration": calibration(*_pairs([r for r in found if r.way == OURS], known)),
+        "runs": [_run(r, known) for r in found],
+    }
+
+
+def _run(r: Run, known: Known) -> dict:
+    c = r.centering
+    return {
+        "way": r.way,
+        "offset_m": float(np.hypot(*r.ring.offset)),
+        "mu_s": r.ring.mu_s,
+        "centred": r.centred(known.within),
+        "left_m": float(np.hypot(*r.path[-1])),
+        "probability": c.probability,
+        "time_s": c.time,
+        "measurements": c.measurements,
+        "reason": c.reason,
+        "notes": list(c.notes),
+        "pushes": [
+            {
+                **step_answer(p.plan.next),
+                "peak_force_N": _none(p.readings.peak_force),
+                "sliding_distance_m": _none(p.readings.sliding_distance),
+                "displacement_m": p.readings.displacement,
+                "mu_s_identified": p.mu_s,
+                "mu_s_known": p.known_mu_s[0],
+                "mu_s_known_relative_standard_error": p.known_mu_s[1],
+                "within": bool(inside),
+                "left_m": float(np.hypot(*at)),
+            }
+            for p, inside, at in zip(c.pushes, r.within(known.within), r.path[1:], strict=True)
+        ],
+    }
+
+
+def _none(x: float) -> float | None:
+    return float(x) if np.isfinite(x) else None
+
+
+def _way(found: Sequence[Run], way: str, known: Known) -> dict:
+    own = [r for r in found if r.way == way]
+    time = np.array([r.centering.time for r in own])
+    pushes = np.array([len(r.centering.pushes) for r in own])
+    return {
+        "rings": len(own),
+        "centred": float(np.mean([r.centred(known.within) for r in own])),
+        "time_median_s": float(np.median(time)),
+        "time_mean_s": float(time.mean()),
+        "pushes_mean": float(pushes.mean()),
+        "measurements_mean": float(np.mean([r.centering.measurements for r in own])),
+    }
+
+
+def calibration(stated: NDArray, landed: NDArray) -> dict:
+    """Stated probabilities of landing against how often the ring did: the slope of a straight
+    line through the outcomes, its standard error, and the shares in ten bins."""
+    out: dict = {"pushes": len(stated), "slope": None, "slope_standard_error": None, "bins": []}
+    if len(stated) > 10 and np.ptp(stated) > 0:
+        A = np.stack([np.ones_like(stated), stated], axis=1)
+        beta, *_ = np.linalg.lstsq(A, landed, rcond=None)
+        bread = np.linalg.inv(A.T @ A)
+        meat = (A * ((landed - A @ beta) ** 2)[:, None]).T @ A  # outcomes differ in variance
+        out["slope"] = float(beta[1])
+        out["slope_standard_error"] = float(np.sqrt((bread @ meat @ bread)[1, 1]))
+    edges = np.array([0, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 0.9, 0.97, 0.99, 0.999, 1.0000001])
+    for lo, hi in pairwise(edges):
+        here = (stated >= lo) & (stated < hi)
+        if here.any():
+            p, y = stated[here], landed[here]
+            out["bins"].append({"pushes": int(here.sum()), "stated": p.mean(), "seen": y.mean()})
+    return out
+
+
+def _pairs(found: Sequence[Run], known: Known):
+    """(the stated probability of each push, whether it landed)."""
+    stated = [p.plan.next.probability for r in found for p in r.centering.pushes]
+    landed = [inside for r in found for inside in r.within(known.within)]
+    return np.array(stated), np.array(landed, float)
+
+
+def centre_report(answer: dict, found: Sequence[Run], known: Known, pictures: bool) -> Report:
+    """All runs for a person."""
+    ways, ours = answer["ways"], answer["ways"][OURS]
+    within = f"{to_um(known.within):g} µm"
+    summary = [
+        f"Of {ours['rings']} rings {100 * ours['centred']:.1f} % are within {within} in the end; "
+        f"median time {ours['time_median_s']:.2f} s, {ours['pushes_mean']:.2f} pushes and "
+        f"{ours['measurements_mean']:.2f} measurements on average."
+    ]
+    rows = [
+        [
+            RIVALS.get(way, "difffric: exact model, landing probabilities"),
+            f"{100 * w['centred']:.1f}",
+            f"{w['time_median_s']:.2f}",
+            f"{w['time_mean_s']:.2f}",
+            f"{w['pushes_mean']:.2f}",
+            f"{w['measurements_mean']:.2f}",
+        ]
+        for way, w in ways.items()
+    ]
+    columns = ("way", "centred [%]", "median [s]", "mean [s]", "pushes", "measurements")
+    tables = [Table("Ways to centre the same rings", columns, rows)]
+    bins = answer["calibration"]["bins"]
+    slope, error = answer["calibration"]["slope"], answer["calibration"]["slope_standard_error"]
+    if bins:
+        caption = "Stated probabilities of landing"
+        if slope is not None:
+            caption += f": slope {slope:.3f} ± {error:.3f} of the outcomes over them"
+        rows = [[str(b["pushes"]), f"{b['stated']:.4f}", f"{b['seen']:.4f}"] for b in bins]
+        tables.append(Table(caption, ("pushes", "stated", "seen"), rows))
+    notes = sorted({note for r in found for note in r.centering.notes if r.way == OURS})
+    first = next(r for r in found if r.way == OURS)
+    tables.append(_one(first, known))
+    drawn = []
+    if pictures:
+        from difffric.commands.figures import plan
+
+        drawn = [
+            Picture(
+                "run",
+                "The first ring, by difffric: the offset after each push, where it was expected, "
+                "and what was known of mu_s.",
+                plan.run(first.centering, known, first.path),
+            ),
+            Picture(
+                "times",
+                "How long each way takes to centre the rings, as shares of them; what never "
+                "reaches 1 did not centre all.",
+                plan.times(
+                    {way: _times([r for r in found if r.way == way], known) for way in ways}
+                ),
+            ),
+        ]
+    text = (
+        "Simulated: friction is hidden and scatters from push to push. A measurement takes 2 s, a "
+        "push its own time and 1 s. Each way meets the same rings, noise and scatter.",
+        *notes,
+    )
+    return Report("Rings centred", summary, [Section("Rings", text, tables, drawn)])
+
+
+def _times(found: Sequence[Run], known: Known) -> list[float]:
+    """Infinite where the ring was not centred."""
+    return [r.centering.time if r.centred(known.within) else np.inf for r in found]
+
+
+def _one(r: Run, known: Known) -> Table:
+    rows = []
+    for i, (p, at) in enumerate(zip(r.centering.pushes, r.path[1:], strict=True), 1):
+        s = p.plan.next
+        rows.append(
+            [
+                str(i),
+                number(60e3 * s.velocity, 4),
+                number(to_um(s.stroke), 5),
+                number(to_um(s.aim), 5),
+                f"{s.probability:.3f}",
+                number(p.mu_s, 4),
+                number(to_um(float(np.hypot(*at))), 3),
+            ]
+        )
+    columns = ("push", "mm/min", "stroke [µm]", "aim [µm]", "lands", "mu_s", "left [µm]")
+    return Table(
+        f"The first ring: {to_um(float(np.hypot(*r.ring.offset))):.1f} µm off, mu_s "
+        f"{r.ring.mu_s:.4f}; left: in truth",
+        columns, rows,
+    )  # fmt: skip

@@ -1,0 +1,186 @@
+"""`difffric diagnose`: the verdict as result.json holds it, the extended set-up, the report."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from difffric.commands.reports.page import Picture, Report, Section, Table, number
+from difffric.diagnosis.misfit import told
+from difffric.diagnosis.verdict import ADEQUATE, AMBIGUOUS, NAMED, Cause, Diagnosis
+from difffric.rig.setup import write_setup
+from difffric.units import to_mm, to_mm_min, to_um
+
+_VERDICTS = {
+    ADEQUATE: "The plain model is adequate: no effect of the catalogue is needed.",
+    NAMED: "The cause is named.",
+    AMBIGUOUS: "There is a cause, but these data cannot tell it from others.",
+}
+_UNEXPLAINED = "The misfit is real, and no effect of the catalogue explains it."
+
+
+def setup_file_of(found: Diagnosis) -> bytes:
+    """The extended set-up as its file holds it."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "setup.toml"
+        write_setup(found.setup, path)
+        return path.read_bytes()
+
+
+def _sizes(cause: Cause) -> str:
+    return "; ".join(
+        f"{name} = {number(value)} ± {number(error, 2)}"
+        for name, (value, error) in cause.parameters.items()
+    )
+
+
+def _share(x: float) -> str:
+    return f"{100 * x:.2g} %" if x > 1e-6 else "0"
+
+
+def _row(cause: Cause) -> list[str]:
+    return [
+        cause.id,
+        cause.component,
+        _sizes(cause),
+        number(cause.probability, 3),
+        ", ".join(cause.confusable_with) or "–",
+        number(cause.chi2_drop),
+        f"{_share(cause.change_peak_force)}, {_share(cause.change_sliding_distance)}",
+    ]
+
+
+_COLUMNS = (
+    "effect",
+    "component",
+    "size",
+    "probability",
+    "confusable with",
+    "drop of χ²",
+    "changes F_p, d",
+)
+
+
+def considered_table(found: Diagnosis, gain: str = "gain held out") -> Table:
+    """The leading effects, each alone on top of the plain model."""
+    rows = [
+        [
+            cause.id,
+            cause.component,
+            _sizes(cause),
+            number(cause.chi2_drop),
+            number(cause.heldout_gain, 3),
+            number(cause.p_value, 2),
+        ]
+        for cause in found.considered
+    ]
+    columns = ("effect", "component", "size", "drop of -2 log L", gain, "p-value")
+    return Table("The leading effects, each alone on top of the plain model", columns, rows)
+
+
+def experiment_table(found: Diagnosis) -> Table:
+    """The pushes that would tell more."""
+    rows = [
+        [
+            " or ".join(x if x != "plain" else "nothing" for x in one.separates),
+            number(to_mm_min(one.velocity_m_per_s)),
+            number(one.mass_kg, 3),
+            "–" if one.stroke_m is None else number(to_mm(one.stroke_m), 3),
+            number(one.rest_before_s, 3),
+            number(one.separation, 2),
+        ]
+        for one in found.experiments
+    ]
+    columns = ("tells", "v [mm/min]", "mass [kg]", "stroke [mm]", "rest before [s]",
+               "apart by [s.d.]")  # fmt: skip
+    return Table("The push that would tell most", columns, rows)
+
+
+def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
+    """The diagnosis for a person."""
+    g = found.gain
+    summary = [_VERDICTS.get(found.verdict, _UNEXPLAINED)]
+    summary += [f"{cause.id}: {cause.text}." for cause in found.causes]
+    summary.append(
+        f"Error on held-out pushes, in units of the noise: {number(g.before, 3)} before, "
+        f"{number(g.after, 3)} after ({number(g.noise_floor, 3)} is perfect)."
+    )
+    if found.location:
+        where = found.location
+        summary.append(
+            f"The misfit sits in: {where.component.replace('_', ' ')}. A curve over the "
+            f"{where.quantity} explains {100 * where.explained[where.form]:.0f} % of it."
+        )
+    if found.causes:
+        moved = number(100 * found.causes[0].change_mu_s, 2)
+        summary.append(f"The identified mu_s changes by {moved} % (rms over the pushes).")
+    sections = []
+    if found.causes:
+        table = Table(
+            "Causes, by how much they change F_p and d", _COLUMNS, [_row(c) for c in found.causes]
+        )
+        sections.append(Section("Causes", tables=(table,)))
+    if found.negligible:
+        table = Table(
+            "Detected, too small to matter", _COLUMNS, [_row(c) for c in found.negligible]
+        )
+        sections.append(Section("Negligible", tables=(table,)))
+    if found.considered:
+        sections.append(Section("What was considered", tables=(considered_table(found),)))
+    if found.certificates:
+        rows = [
+            [str(x.push + 1), number(to_mm_min(x.velocity_m_per_s)),
+             number(to_um(x.sliding_distance_m)), number(to_um(x.bound_m))]
+            for x in found.certificates
+        ]  # fmt: skip
+        table = Table("Distances that no k, b and k_v give", ("push", "v [mm/min]", "d [µm]",
+                      "at most [µm]"), rows)  # fmt: skip
+        sections.append(Section("Beyond the plain model", tables=(table,)))
+    if pictures:
+        from difffric.commands.figures import diagnose
+
+        recordings = found.work[0].task.model.recordings
+        drawn = []
+        if recordings:
+            drawn.append(
+                Picture(
+                    "misfit", "Where the plain model misses, push by push.",
+                    diagnose.misfit(found),
+                )
+            )  # fmt: skip
+        drawn.append(
+            Picture(
+                "where", "Squared residuals per number, in units of the noise, over what changes "
+                "(red: plain, blue: with its causes).", diagnose.where(found),
+            )
+        )  # fmt: skip
+        if recordings:
+            drawn.append(
+                Picture(
+                    "residuals", "Residuals of the pushes that the plain model fits worst "
+                    "(red: plain, blue: with its causes).", diagnose.residuals(found),
+                )
+            )  # fmt: skip
+        if found.location:
+            drawn.append(
+                Picture(
+                    "location", "What each component would explain if it were free to bend, and "
+                    "the correction of the one that explains most.",
+                    diagnose.location(found.location),
+                )
+            )  # fmt: skip
+        words = told(found.misfit)
+        sections.append(
+            Section("Where the misfit sits", (words,) if words else (), pictures=tuple(drawn))
+        )
+    unseen = [x for x in found.not_visible if x not in found.impossible]
+    reasons = [[name, why] for name, why in found.impossible.items()]
+    reasons += [[name, "too small a trace in these pushes at its typical size"] for name in unseen]
+    if found.experiments:
+        sections.append(Section("What to push next", tables=(experiment_table(found),)))
+    if reasons:
+        table = Table("Not to be seen in these data", ("effect", "why"), reasons)
+        sections.append(Section("What these data cannot say", tables=(table,)))
+    if found.notes:
+        sections.append(Section("Notes", found.notes))
+    return Report("Diagnosis", tuple(summary), tuple(sections))

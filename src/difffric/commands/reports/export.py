@@ -1,0 +1,118 @@
+"""`difffric export`: the predictor's files, its answer and its report."""
+
+from __future__ import annotations
+
+import json
+
+from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table, number, plain
+from difffric.estimation.stacked_data import sensor_errors
+from difffric.identification.controller.c_code import golden, source_files, statement
+from difffric.identification.controller.fitting import QUANTITIES, Exported
+from difffric.identification.controller.predictor import REASONS
+from difffric.rig import parameters
+from difffric.rig.rig import Rig
+from difffric.units import to_mm, to_mm_min
+
+_NAMES = {"force": "F_p", "distance": "d", "either": "either"}
+
+
+def export_answer(exported: Exported, rig: Rig) -> dict:
+    """As result.json holds it; predictor.json has the cells too."""
+    p = exported.predictor
+    F_se, d_se = sensor_errors(rig)
+    return {
+        "box": {
+            "velocity_m_per_s": [p.box.slowest, p.box.fastest],
+            "mu_s": [p.box.least_mu_s, p.box.most_mu_s],
+        },
+        "max_error": p.max_error,
+        "proof": "bounded" if exported.homogeneous else "sampled",
+        "bound": exported.bound,
+        "worst": exported.worst,
+        "random_pushes": exported.points,
+        "determined": exported.determined,
+        "answered": exported.answered,
+        "missed": exported.missed,
+        "least_elasticity": exported.least_elasticity,
+        "cells": {name: int(getattr(p, name).first[-1]) for name in QUANTITIES},
+        "speed_ranges": {name: len(getattr(p, name).speeds) - 1 for name in QUANTITIES},
+        "dropped_cells": exported.dropped,
+        "reasons": list(REASONS),
+        "standard_errors": {"peak_force_N": F_se, "sliding_distance_m": d_se},
+        "parameters": {
+            name: float(value) for name, value in parameters.values(rig).items() if name != "mu_s"
+        },
+        "stroke_m": None if rig.pusher.stroke is None else float(rig.pusher.stroke),
+    }
+
+
+def files_of(exported: Exported, rig: Rig) -> dict[str, bytes]:
+    """predictor.json, predictor.c, predictor.h and golden.csv."""
+    errors = sensor_errors(rig)
+    stored = {**export_answer(exported, rig), "predictor": exported.predictor.as_dict()}
+    return {
+        "predictor.json": (json.dumps(plain(stored), allow_nan=False) + "\n").encode(),
+        **source_files(exported, rig, *errors),
+        "golden.csv": golden(exported, rig, *errors),
+    }
+
+
+def export_report(exported: Exported, rig: Rig) -> Report:
+    """The predictor for a person."""
+    from difffric.commands.figures.predictor import predictor_figure
+
+    p = exported.predictor
+
+    def percent(value, digits=3):
+        return "–" if value is None else number(100 * value, digits)
+
+    rows = [
+        [
+            _NAMES[name],
+            percent(exported.bound.get(name)),
+            percent(exported.worst.get(name)),
+            percent(exported.determined[name], 4),
+            percent(exported.answered[name], 4),
+            percent(exported.missed[name], 2),
+            "" if name == "either" else str(int(getattr(p, name).first[-1])),
+        ]
+        for name in (*QUANTITIES, "either")
+    ]
+    columns = (
+        "from", "bound [%]", "worst tried [%]", "determined [% of box]", "answered [% of box]",
+        "missed [% of box]", "cells",
+    )  # fmt: skip
+    table = Table("Error of mu_s, and where there is an answer", columns, rows)
+    box = p.box
+    summary = [
+        statement(exported),
+        f"Box: {to_mm_min(box.slowest):g} to {to_mm_min(box.fastest):g} mm/min, mu_s "
+        f"{box.least_mu_s:g} to {box.most_mu_s:g}. One of F_p and d gives mu_s in "
+        f"{percent(exported.answered['either'], 4)} % of it.",
+    ]
+    if rig.pusher.stroke is None:
+        summary.append(NO_STROKE)
+    else:
+        summary.append(
+            f"With the stroke of {to_mm(float(rig.pusher.stroke)):g} mm a distance may mean "
+            "several mu_s: there the predictor takes none from d."
+        )
+    text = [
+        "Determined: the reading is monotone in mu_s, changes by at least "
+        f"{100 * exported.least_elasticity:g} % of itself for a relative change of mu_s of 1, and "
+        "no other mu_s of the box gives the same. Missed: determined, and yet without an answer.",
+        "The errors are those of the polynomials against the model. What the model's own "
+        "parameters are uncertain by is not in them, nor in the variances that the C function "
+        "gives: those are the readings' alone.",
+    ]
+    picture = Picture(
+        "predictor", "Error over the box, and which readings are used.",
+        predictor_figure(exported, rig),
+    )  # fmt: skip
+    use = [
+        "predictor.c and predictor.h: C99, one function. golden.csv: readings and what it must "
+        "give: cc -std=c99 -O2 -DDIFFFRIC_SELFTEST predictor.c -o selftest && ./selftest "
+        "golden.csv. predictor.json: the same polynomials.",
+    ]
+    sections = [Section("Error", text, [table], [picture]), Section("Files", use)]
+    return Report("Predictor for the controller", summary, sections)

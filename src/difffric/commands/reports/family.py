@@ -1,0 +1,75 @@
+"""`difffric family`: the curve families as result.json holds them, and their report."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table, number
+from difffric.identification.surrogates import PUBLISHED_DISTANCE, PUBLISHED_FORCE
+from difffric.rig.rig import Rig
+from difffric.simulation.families import Family
+from difffric.units import to_um
+
+
+def family_answer(family: Family) -> dict:
+    """The families and their fits, as `difffric family` writes them."""
+    force, distance = family.force_fit(), family.distance_fit()
+    return {
+        "velocity_m_per_s": family.velocity,
+        "mu_s": family.mu_s,
+        "peak_force_N": family.peak_force,
+        "sliding_distance_m": family.sliding_distance,
+        "range_ratio_N_per_m": family.range_ratio,
+        "equation_3": {"fitted": vars(force), "published": vars(PUBLISHED_FORCE)},
+        "equation_5": {"fitted": vars(distance), "published": vars(PUBLISHED_DISTANCE)},
+        "misfit": _surrogate_misfit(family, force, distance),
+    }
+
+
+def _surrogate_misfit(family: Family, force, distance) -> dict:
+    """How far the fitted surrogates are from the model they stand for, and their inverses'
+    error in mu_s."""
+    v, mu = np.meshgrid(family.velocity, family.mu_s, indexing="ij")
+    dF = force.peak_force(v, mu) - family.peak_force
+    dd = distance.sliding_distance(v, mu) - family.sliding_distance
+    back_F = force.mu_s(v, family.peak_force) - mu
+    back_d = distance.mu_s(v, family.sliding_distance) - mu
+    return {
+        "peak_force_rms_N": float(np.sqrt(np.mean(dF**2))),
+        "sliding_distance_rms_m": float(np.sqrt(np.nanmean(dd**2))),
+        "mu_s_by_4_rms": float(np.sqrt(np.mean(back_F**2))),
+        "mu_s_by_6_rms": float(np.sqrt(np.nanmean(back_d**2))),
+        "mu_s_by_6_answered": float(np.mean(np.isfinite(back_d))),
+    }
+
+
+def family_report(answer: dict, family: Family, rig: Rig) -> Report:
+    """The families for a person."""
+    from difffric.commands.figures.style import families
+
+    rows = []
+    for equation in ("equation_3", "equation_5"):
+        for name, fitted in answer[equation]["fitted"].items():
+            published = answer[equation]["published"][name]
+            rows.append([f"({equation[-1]}) {name}", number(fitted), number(published)])
+    misfit = answer["misfit"]
+    none = int(np.isnan(family.sliding_distance).sum())
+    summary = [
+        f"(3) misses the model by {number(misfit['peak_force_rms_N'], 3)} N rms, (5) by "
+        f"{number(to_um(misfit['sliding_distance_rms_m']), 3)} µm rms.",
+        f"Inverted, (4) misses mu_s by {number(misfit['mu_s_by_4_rms'], 2)} rms and (6) by "
+        f"{number(misfit['mu_s_by_6_rms'], 2)} rms, where it answers at all "
+        f"({100 * misfit['mu_s_by_6_answered']:.0f} % of the grid).",
+    ]
+    if none:
+        summary.append(f"The part never leaves the tip in {none} of {family.regime.size} pushes.")
+    if rig.pusher.stroke is None:
+        summary.append(NO_STROKE)
+    table = Table("Surrogate coefficients [N, mm/min, µm]", ("", "fitted", "published"), rows)
+    pictures = [
+        Picture("figure_II_5", "F_p over speed; dashed: published (3).", families(family, "force")),
+        Picture(
+            "figure_II_6", "d over speed; dashed: published (5).", families(family, "distance")
+        ),
+    ]
+    return Report("Curve families", summary, [Section("Fits", (), [table], pictures)])

@@ -1,0 +1,367 @@
+"""`difffric fit`: the calibration as result.json holds it, the fitted set-up, and the report."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.calibration.comparison import (
+    FittedPushes,
+    chi2_per_sample,
+    fitted_pushes,
+    fitted_trace,
+)
+from difffric.calibration.optimal_push import NextPush, next_push
+from difffric.calibration.profiles import Profile
+from difffric.calibration.profiles import profile as profiled
+from difffric.calibration.result import Fit
+from difffric.commands.reports.page import Picture, Report, Section, Table, number, rounded
+from difffric.errors import InputError
+from difffric.rig.setup import write_setup
+from difffric.units import to_mm_min, to_um
+
+SHOWN = 4
+"""Recordings whose traces are drawn."""
+
+
+def _silent(what: str, share: float) -> None:
+    """Progress that nobody asked for."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A calibration with what its report shows beside it."""
+
+    fit: Fit
+    beside: FittedPushes
+    order: NDArray
+    """(n,) place in the order of the pushes"""
+    names: tuple[str, ...]
+    """of the file's groups, empty for a table"""
+    profiles: Mapping[str, Profile] = field(default_factory=dict)
+    next_push: NextPush | None = None
+    no_next_push: str | None = None
+    """why there is none, where it was asked for"""
+
+    @classmethod
+    def of(cls, fit: Fit) -> Answer:
+        """The fit beside the pushes that it was fitted to."""
+        assert fit.pushes is not None
+        return cls(fit, fitted_pushes(fit, fit.pushes), order_of(fit.pushes.order), fit.push_names)
+
+    def as_dict(self) -> dict:
+        """As result.json holds it: what the fit gives, and more of each push."""
+        answer, b = self.fit.as_dict(), self.beside
+        chi2 = chi2_per_sample(self.fit)
+        speed = "release_velocity_m_per_s" if self.fit.kind == "slides" else "velocity_m_per_s"
+        answer["pushes"] = [
+            {
+                "name": self.names[i] if self.names else None,
+                "order": self.order[i],
+                speed: b.velocity[i],
+                **push,
+                "measured_peak_force_N": b.measured[0, i],
+                "measured_peak_force_se_N": b.standard_error[0, i],
+                "measured_sliding_distance_m": b.measured[1, i],
+                "measured_sliding_distance_se_m": b.standard_error[1, i],
+                "residual_peak_force_sigma": b.residual[0, i],
+                "residual_sliding_distance_sigma": b.residual[1, i],
+                "trace_reduced_chi2": None if chi2 is None else chi2[i],
+            }
+            for i, push in enumerate(answer["pushes"])
+        ]
+        answer["profiles"] = {x: p.as_dict() for x, p in self.profiles.items()} or None
+        answer["next_push"] = None if self.next_push is None else self.next_push.as_dict()
+        return answer
+
+
+def with_more(answer: Answer, profile: bool, push: bool, tell=_silent) -> Answer:
+    """The answer with profiles, and with the next push to make, where they are asked for."""
+    if profile:
+        answer = replace(answer, profiles=profiled(answer.fit, tell=tell))
+    if push:
+        tell("looking for the next push", 0.9)
+        try:
+            answer = replace(answer, next_push=next_push(answer.fit))
+        except InputError as error:
+            answer = replace(answer, no_next_push=str(error))
+    return answer
+
+
+def order_of(order: NDArray) -> NDArray:
+    """The order that the data say, if they say it of every push; else as they stand."""
+    return np.arange(1.0, len(order) + 1) if np.isnan(order).any() else order
+
+
+def setup_file_of(fit: Fit) -> bytes:
+    """The fitted set-up as its file holds it."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "setup.toml"
+        write_setup(fit.fitted_setup, path)
+        return path.read_bytes()
+
+
+def check_out(out: Path | None, setup: Path) -> None:
+    """Raise `InputError` where the fitted set-up would replace the one that it starts from."""
+    own = None if out is None else out / "setup.toml"
+    if own is not None and own.exists() and setup.exists() and own.samefile(setup):
+        raise InputError(
+            f"--out {out}: its setup.toml is the set-up that the fit starts from, and would be "
+            "replaced by the fitted one; give another folder"
+        )
+
+
+def fit_report(answer: Answer, pictures: bool) -> Report:
+    """The calibration for a person."""
+    fit = answer.fit
+    sections = [
+        Section(
+            "Parameters",
+            (
+                "Standard errors come from the noise as it is known or estimated, and from the "
+                "scatter of mu_s; they are not scaled by the reduced chi-square, except in the "
+                "last column.",
+            ),
+            [_parameters(fit), *_open(fit), *_correlations(fit)],
+            _correlation_picture(fit) if pictures else (),
+        )
+    ]
+    if answer.profiles:
+        sections.append(_profile_section(answer, pictures))
+    sections.append(
+        Section(
+            "Pushes",
+            (_residuals_in_words(fit),),
+            [_pushes(answer)],
+            _push_pictures(answer) if pictures else (),
+        )
+    )
+    if fit.noise:
+        sections.append(Section("Noise", ("Estimated where nothing moves.",), [_noise(fit)]))
+    if answer.next_push is not None or answer.no_next_push:
+        sections.append(_next_section(answer))
+    if fit.skipped:
+        rows = [[line] for line in fit.skipped]
+        sections.append(Section("Skipped", (), [Table("What was left out, and why", ("",), rows)]))
+    return Report("Calibration", [*_summary(fit), *_next_in_words(answer)], sections)
+
+
+def _summary(fit: Fit) -> list[str]:
+    reached, of = fit.starts_at_optimum
+    kind = {"slides": "free slides"}.get(fit.kind, f"pushes ({fit.kind})")
+    beside = f", {fit.left_out} more beside jumps left out" if fit.left_out else ""
+    starts = f"; {reached} of {of} starts reach this optimum" if of else ""
+    lines = [
+        f"{len(fit.mu_s)} {kind}, {fit.samples} measured numbers{beside}.",
+        f"Reduced chi-square {fit.reduced_chi2:.4g} (chi-square {fit.chi2:.6g}, "
+        f"{fit.degrees_of_freedom} degrees of freedom).",
+        ("Converged" if fit.converged else "Did NOT converge") + starts + ".",
+    ]
+    if "mu_s" in fit.names:
+        value, error = rounded(100 * fit.scatter, 100 * fit.scatter_se)
+        error = " (not estimated)" if error == "–" else f" ± {error}"
+        lines.append(f"mu_s scatters from push to push by {value}{error} %.")
+    lines += [f"Not determined: {', '.join(x['parameters'])}." for x in fit.not_identifiable]
+    lines += [f"Note: {note}." for note in fit.notes]
+    if fit.skipped:
+        lines.append(f"Skipped: {len(fit.skipped)}, listed below.")
+    return lines
+
+
+def _parameters(fit: Fit) -> Table:
+    rows = []
+    for label in fit.free:
+        value, error = fit.value(label), fit.standard_error(label)
+        shown, se = rounded(value, error)
+        interval, scaled = fit.interval(label), fit.standard_error(label, scaled=True)
+        relative = _percent(error, value)
+        ends = "–"
+        if interval is not None:
+            ends = " … ".join(rounded(x, error)[0] for x in interval)
+        rows.append([label, shown, se if error else "at bound", relative, ends, number(scaled, 3)])
+    columns = ("SI units", "value", "± s.e.", "%", "95 % interval", "s.e. scaled")
+    spreads = [
+        ("mu_s_scatter", fit.scatter, fit.scatter_se),
+        ("spread of F_p [N]", fit.spread_force, math.nan),
+        ("spread of d [µm]", to_um(fit.spread_distance), math.nan),
+    ]
+    for name, value, error in spreads:
+        if math.isfinite(value) and (name != "mu_s_scatter" or "mu_s" in fit.names):
+            rows.append([name, *rounded(value, error), _percent(error, value), "–", "–"])
+    return Table("Parameters", columns, rows)
+
+
+def _percent(error, value) -> str:
+    if not error or not value or not math.isfinite(error):
+        return "–"
+    share = 100 * error / abs(value)
+    return f"{share:.0f}" if share >= 10 else f"{share:.2g}"
+
+
+def _open(fit: Fit) -> list[Table]:
+    rows = [[", ".join(x["parameters"]), x["reason"]] for x in fit.not_identifiable]
+    return [Table("Not determined by these data", ("", "why"), rows)] if rows else []
+
+
+def _correlations(fit: Fit) -> list[Table]:
+    correlation = fit.correlation
+    pairs = [
+        (a, b, float(correlation[i, j]))
+        for i, a in enumerate(fit.free)
+        for j, b in enumerate(fit.free)
+        if j > i and abs(correlation[i, j]) > 0.1
+    ]
+    rows = [[a, b, f"{c:+.3f}"] for a, b, c in sorted(pairs, key=lambda x: -abs(x[2]))]
+    return [Table("Correlations above 0.1", ("", "and", ""), rows)] if rows else []
+
+
+def _residuals_in_words(fit: Fit) -> str:
+    if fit.kind == "recordings":
+        return (
+            "Residuals of F_p and d are in standard errors of what the recording says without a "
+            "model, at the push's own mu_s from all its samples. The last column is the mean "
+            "squared residual of its samples in units of the noise."
+        )
+    return (
+        "Residuals are taken at the mean mu_s, in standard deviations of the noise and the "
+        "scatter together; the model's columns have the push's own mu_s."
+    )
+
+
+def _pushes(answer: Answer) -> Table:
+    fit, b = answer.fit, answer.beside
+    chi2 = chi2_per_sample(fit)
+    rows = []
+    for i, condition in enumerate(fit.conditions):
+        row = [
+            answer.names[i] if answer.names else f"{answer.order[i]:g}",
+            number(to_mm_min(b.velocity[i]), 5),
+            condition or "–",
+            " ± ".join(rounded(fit.mu_s[i], fit.mu_s_se[i])),
+        ]
+        if fit.kind != "slides":
+            row += [
+                number(b.measured[0, i], 5), number(b.model[0, i], 5),
+                f"{b.residual[0, i]:+.1f}" if np.isfinite(b.residual[0, i]) else "–",
+            ]  # fmt: skip
+        row += [
+            number(to_um(b.measured[1, i]), 6), number(to_um(b.model[1, i]), 6),
+            f"{b.residual[1, i]:+.1f}" if np.isfinite(b.residual[1, i]) else "–",
+        ]  # fmt: skip
+        if chi2 is not None:
+            row.append(f"{chi2[i]:.3f}")
+        if np.any(fit.start):
+            row.append(f"{1e6 * fit.start[i]:+.2f}")
+        rows.append(row)
+    columns = ["push", "mm/min", "", "own mu_s"]
+    columns += [] if fit.kind == "slides" else ["F_p [N]", "model", "[σ]"]
+    columns += ["d [µm]", "model", "[σ]"]
+    columns += [] if chi2 is None else ["chi²/n"]
+    columns += ["start [µs]"] if np.any(fit.start) else []
+    return Table("Each push", columns, rows)
+
+
+def _noise(fit: Fit) -> Table:
+    units = {"force": (1.0, "N"), "position": (to_um(1.0), "µm")}
+    rows = []
+    for name, noise in fit.noise.items():
+        scale, unit = units.get(name, (1.0, ""))
+        colour = "white" if noise["correlation"] < 0.02 else f"AR(1), {noise['correlation']:.3f}"
+        rows.append([name, number(scale * noise["standard_deviation"], 4, unit), colour])
+    return Table("Noise of a sample", ("", "standard deviation", "colour"), rows)
+
+
+def _correlation_picture(fit: Fit) -> list[Picture]:
+    from difffric.commands.figures import fit as figures_fit
+
+    if len(fit.free) < 3:
+        return []
+    caption = "Correlations of the free parameters."
+    return [Picture("correlations", caption, figures_fit.correlations(fit))]
+
+
+def _push_pictures(answer: Answer) -> list[Picture]:
+    from difffric.commands.figures import fit as figures_fit
+
+    fit = answer.fit
+    found = [
+        Picture(
+            "pushes",
+            "Measured (one standard error) and calibrated model over speed; shaded: the scatter of "
+            "mu_s. Below: residuals; shaded: ±2.",
+            figures_fit.pushes(fit, answer.beside),
+        )
+    ]
+    if "mu_s" in fit.names:
+        caption = "Each push's own mu_s, one standard error; shaded: mean ± scatter."
+        found.append(Picture("mu_s", caption, figures_fit.own_friction(fit, answer.order)))
+    if fit.kind == "recordings":
+        shown = {}
+        for i in _typical(answer.beside.velocity):
+            v = to_mm_min(answer.beside.velocity[i])
+            title = f"{answer.names[i] or f'push {i + 1}'}: {v:g} mm/min {fit.conditions[i]}"
+            shown[title.rstrip()] = fitted_trace(fit, i)
+        caption = "Recorded and calibrated, with the whitened residuals below; shaded: ±2."
+        found.append(Picture("traces", caption, figures_fit.traces(shown)))
+    return found
+
+
+def _typical(velocity: NDArray) -> list[int]:
+    """Up to `SHOWN` pushes, from the slowest to the fastest."""
+    order = np.argsort(velocity, kind="stable")
+    places = np.linspace(0, len(order) - 1, min(SHOWN, len(order))).round().astype(int)
+    return [int(order[i]) for i in places]
+
+
+def _profile_section(answer: Answer, pictures: bool) -> Section:
+    rows = []
+    for label, one in answer.profiles.items():
+        error = answer.fit.standard_error(label)
+        row = [label, rounded(one.value, error)[0]]
+        for ends in one.intervals.values():
+            row.append(" … ".join("open" if x is None else rounded(x, error)[0] for x in ends))
+        why = [f"{s}: {r}" for s, r in zip(("lower", "upper"), one.reasons, strict=True) if r]
+        rows.append([*row, "; ".join([*why, *([one.note] if one.note else [])])])
+    levels = next(iter(answer.profiles.values())).intervals
+    columns = ("SI units", "value", *(f"{100 * x:g} %" for x in levels), "")
+    text = (
+        "Each parameter is held and everything else fitted anew: the interval ends where "
+        "chi-square has risen by the square of t.",
+    )
+    drawn = []
+    if pictures:
+        from difffric.commands.figures import fit as figures_fit
+
+        caption = "Rise of chi-square; dashed: what the standard error says."
+        drawn.append(
+            Picture("profiles", caption, figures_fit.profiles(answer.fit, answer.profiles))
+        )
+    return Section("Profile-likelihood intervals", text, [Table("Intervals", columns, rows)], drawn)
+
+
+def _next_in_words(answer: Answer) -> list[str]:
+    best = answer.next_push
+    if best is None:
+        return [f"Next push: none: {answer.no_next_push}."] if answer.no_next_push else []
+    which = f", {best.condition}," if best.condition else ""
+    return [
+        f"Next push: {to_mm_min(best.velocity):.0f} mm/min with {best.mass:.4g} kg{which} would "
+        f"say most of all parameters together: expected F_p {best.peak_force:.4g} N, "
+        f"d {to_um(best.sliding_distance):.4g} µm."
+    ]
+
+
+def _next_section(answer: Answer) -> Section:
+    best, text = answer.next_push, _next_in_words(answer)
+    if best is None:
+        return Section("Next push", text)
+    text += [f"Note: {note}." for note in best.notes]
+    rows = [[x, number(se, 3), number(best.after[x], 3)] for x, se in best.before.items()]
+    table = Table("Next push: standard errors [SI]", ("", "now", "with this push"), rows)
+    return Section("Next push", text, [table])

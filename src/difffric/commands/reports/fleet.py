@@ -1,0 +1,160 @@
+"""`difffric identify ARCHIVE`: what result.json and the report say of a fleet."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from difffric.commands.reports.page import (
+    NO_STROKE,
+    Picture,
+    Report,
+    Section,
+    Table,
+    number,
+    rounded,
+)
+from difffric.fleet.identify_archive import DATA_SET, Fleet
+
+_LISTED = 50
+"""Lines of a report's list of what was left out; the rest is in bad.csv."""
+_APART = 3.0
+"""Standard errors between force and distance from which a push is counted as `apart`."""
+
+
+def fleet_answer(fleet: Fleet) -> dict:
+    """Counts, and each rig's summary, as `difffric identify ARCHIVE` writes it. Nothing in it says
+    how often a run was interrupted."""
+    per_rig = {row["rig"]: row for row in _summary(fleet, "rig")}
+    bad = [rig for rig, _, _ in fleet.bad]
+    left_out = [rig for rig, _, _ in fleet.skipped]
+    rigs = []
+    for rig, files in sorted(fleet.files.items()):
+        row = per_rig.get(rig, _NOTHING)
+        counts = {
+            "files": files,
+            "bad_files": bad.count(rig),
+            "skipped_pushes": left_out.count(rig),
+        }
+        rigs.append({"rig": rig, **counts, **{k: row[k] for k in _NOTHING}})
+    total = {
+        key: sum(row[key] for row in rigs)
+        for key in ("files", "bad_files", "skipped_pushes", "pushes", "identified", "apart")
+    }
+    return {
+        "data_set": DATA_SET,
+        **total,
+        "rigs": rigs,
+        "bad": [{"rig": rig, "file": file, "reason": why} for rig, file, why in fleet.bad],
+        "skipped": [{"rig": rig, "file": file, "reason": why} for rig, file, why in fleet.skipped],
+    }
+
+
+_NOTHING = {
+    "pushes": 0,
+    "identified": 0,
+    "apart": 0,
+    "mu_s_mean": None,
+    "mu_s_standard_error": None,
+    "spread": None,
+    "first_date": None,
+    "last_date": None,
+}
+
+
+def _summary(fleet: Fleet, *by: str) -> list[dict]:
+    """A row a group: how many pushes, how mu_s lies. In NumPy, whose sums are always the same."""
+    columns = ("rig", "date", "mu_s", "disagreement")
+    parts = fleet.pushes.select(columns).collect().partition_by(*by, maintain_order=True)
+    rows = []
+    for part in parts:
+        mu = part["mu_s"].drop_nulls().to_numpy()
+        n, mean = len(mu), float(np.mean(mu)) if len(mu) else None
+        std = float(np.std(mu, ddof=1)) if n > 1 else None
+        rows.append(
+            {
+                "rig": part["rig"][0],
+                "date": part["date"][0],
+                "pushes": len(part),
+                "identified": n,
+                "apart": int((part["disagreement"].abs() > _APART).sum()),
+                "mu_s_mean": mean,
+                "mu_s_standard_error": None if std is None else std / n**0.5,
+                "spread": None if std is None or not mean else std / mean,
+                "first_date": part["date"].min(),
+                "last_date": part["date"].max(),
+            }
+        )
+    return rows
+
+
+def fleet_report(fleet: Fleet, answer: dict, pictures: bool) -> Report:
+    """The fleet for a person."""
+    drawn = []
+    days: dict[str, list[dict]] = {}
+    for row in _summary(fleet, "rig", "date") if pictures else ():
+        if row["identified"]:
+            days.setdefault(row["rig"], []).append(row)
+    if days:
+        from difffric.commands.figures import fleet as figures_fleet
+
+        drawn.append(
+            Picture(
+                "mu_s_by_date",
+                "mu_s of each rig, the mean of each day's pushes; bars: one standard deviation "
+                "between them. Rigs beyond the twelve with most days are grey.",
+                figures_fleet.by_date(days),
+            )
+        )
+    text = (
+        "mu_s of a push is the optimal combination of force and distance, of a free slide that of "
+        "its release speed and distance. Means count each push once; their standard errors come "
+        "from how the pushes differ, without the calibration's, which they share.",
+    )
+    sections = [Section("Rigs", text, [_rigs(answer)], drawn)]
+    left_out = [
+        [x["rig"], x["file"], what, x["reason"]]
+        for key, what in (("bad", "file"), ("skipped", "push"))
+        for x in answer[key]
+    ]
+    if left_out:
+        rest = len(left_out) - _LISTED
+        note = (f"The first {_LISTED} of {len(left_out)}; all stand in bad.csv.",) * (rest > 0)
+        table = Table("What could not be used, and why", _COLUMNS, left_out[:_LISTED])
+        sections.append(Section("Left out", note, [table]))
+    return Report("A fleet's friction", _lines(fleet, answer), sections)
+
+
+_COLUMNS = ("rig", "file", "", "reason")
+
+
+def _lines(fleet: Fleet, answer: dict) -> list[str]:
+    rigs = [row for row in answer["rigs"] if row["pushes"]]
+    lines = [
+        f"{answer['pushes']} pushes in {answer['files'] - answer['bad_files']} files of "
+        f"{len(rigs)} rigs; {answer['identified']} give mu_s."
+    ]
+    if answer["bad_files"] or answer["skipped_pushes"]:
+        lines.append(
+            f"{answer['bad_files']} files and {answer['skipped_pushes']} pushes of other files "
+            "could not be used: they are listed below and in bad.csv."
+        )
+    if answer["apart"]:
+        lines.append(
+            f"In {answer['apart']} pushes force and distance differ by more than three standard "
+            "errors: the model or the set-up is not right for them."
+        )
+    if fleet.without_stroke:
+        lines.append(f"{len(fleet.without_stroke)} rigs: {NO_STROKE}")
+    return lines
+
+
+def _rigs(answer: dict) -> Table:
+    rows = []
+    for row in answer["rigs"]:
+        mean, error = rounded(row["mu_s_mean"], row["mu_s_standard_error"])
+        spread = None if row["spread"] is None else 100 * row["spread"]
+        days = " to ".join(dict.fromkeys(x for x in (row["first_date"], row["last_date"]) if x))
+        counts = (str(row[k]) for k in ("files", "bad_files", "pushes", "identified", "apart"))
+        rows.append([row["rig"], *counts, mean, error, number(spread, 3), days or "–"])
+    columns = ("rig", "files", "bad", "pushes", "with mu_s", "F, d apart", "mean mu_s", "± s.e.")
+    return Table("By rig", (*columns, "spread [%]", "dates"), rows)

@@ -1,0 +1,182 @@
+"""`difffric identify`: mu_s of each push as result.json holds it, and the report."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.commands.reports.page import (
+    NO_STROKE,
+    Picture,
+    Report,
+    Section,
+    Table,
+    number,
+    rounded,
+)
+from difffric.identification.estimates import NONE, WAYS, Estimate, Identified
+from difffric.measurements.pushes import Pushes
+from difffric.measurements.recordings import Recordings
+from difffric.rig.rig import Rig
+from difffric.units import to_mm_min
+
+
+def summary_of(found: Identified) -> dict[str, dict]:
+    """Condition -> mean of its pushes' best mu_s, its standard error, and their spread.
+
+    The spread s is the relative sample standard deviation: scatter and noise together. The mean
+    weighs each push by 1 / (error^2 + (s mean)^2). Its standard error has two parts, added as
+    squares: how the pushes differ, and the error of the calibration, which they share and which
+    no number of pushes makes smaller (also by itself, `calibration_standard_error`).
+    """
+    out = {}
+    for condition in dict.fromkeys(p.condition for p in found):
+        best = [p.best for p in found if p.condition == condition and p.best.value is not None]
+        out[condition] = {"pushes": len(best), **_mean(best)}
+    return out
+
+
+def _mean(best: list[Estimate]) -> dict:
+    if len(best) < 2:
+        one = best[0] if best else NONE
+        return {
+            "mean": one.value,
+            "standard_error": one.standard_error,
+            "calibration_standard_error": _norm(one.shared) if best else None,
+            "spread": None,
+        }
+    value = np.array([x.value for x in best], float)
+    error = np.array([x.standard_error or 0.0 for x in best])
+    n, spread = len(value), float(np.std(value, ddof=1))
+    variance = error**2 + spread**2
+    w = 1.0 / variance if spread > 0 else np.ones(n)
+    w /= w.sum()
+    mean = float(w @ value)
+    between = float(np.sqrt(w**2 @ (value - mean) ** 2 * n / (n - 1)))
+    shared = np.zeros(max(len(x.shared) for x in best))
+    for one, weight in zip(best, w, strict=True):
+        shared[: len(one.shared)] += weight * np.array(one.shared)
+    calibration = _norm(shared)
+    return {
+        "mean": mean,
+        "standard_error": math.hypot(between, calibration),
+        "calibration_standard_error": calibration,
+        "spread": spread / mean,
+    }
+
+
+def _norm(shared) -> float:
+    return float(np.linalg.norm(shared))
+
+
+def identify_answer(found: Identified, rig: Rig) -> dict:
+    """mu_s of all pushes, as `difffric identify` writes it."""
+    return {
+        **found.as_dict(),
+        "conditions": summary_of(found),
+        "stroke": NO_STROKE if rig.pusher.stroke is None else None,
+    }
+
+
+def _places(found: Identified, data: Pushes | Recordings) -> tuple[NDArray, NDArray]:
+    """(n,) speeds [m/s], of free slides at their release, and the order of the pushes."""
+    n = len(found)
+    velocity, order = np.array([p.velocity for p in found]), np.arange(1.0, n + 1)
+    if len(data) != n:  # some were skipped
+        return velocity, order
+    said = data.order if isinstance(data, Pushes) else np.array([r.order for r in data])
+    if isinstance(data, Pushes) and data.free_slides:
+        velocity = data.release_velocity
+    return velocity, order if np.isnan(said).any() else said
+
+
+def identify_report(
+    found: Identified, answer: dict, data: Pushes | Recordings, pictures: bool
+) -> Report:
+    """mu_s of all pushes for a person."""
+    velocity, order = _places(found, data)
+    drawn = []
+    if pictures:
+        from difffric.commands.figures import fit
+
+        drawn = [
+            Picture(
+                "mu_s_ways",
+                "mu_s of each push by each way to it, one standard error; dotted: mean of the best "
+                "estimates.",
+                fit.identified(found, velocity),
+            ),
+            Picture(
+                "mu_s",
+                "The best estimate of each push; shaded: mean ± spread of its condition.",
+                fit.best_estimates(found, order, answer["conditions"]),
+            ),
+        ]
+    text = (
+        "The best estimate is from the whole recording where there is one, else the optimal "
+        "combination of force and distance, else the free slide. A push's standard error carries "
+        "the calibration's; that of a condition's mean comes from how its pushes differ and from "
+        "the calibration's error, which they share.",
+    )
+    sections = [Section("Pushes", text, [_pushes(found, velocity), _conditions(answer)], drawn)]
+    if found.skipped:
+        rows = [[line] for line in found.skipped]
+        sections.append(Section("Skipped", (), [Table("What was left out, and why", ("",), rows)]))
+    return Report("Identified friction", _summary(found, answer), sections)
+
+
+def _summary(found: Identified, answer: dict) -> list[str]:
+    lines = []
+    for condition, of in answer["conditions"].items():
+        value, error = rounded(of["mean"], of["standard_error"])
+        spread = "" if of["spread"] is None else f", spread {100 * of['spread']:.2g} %"
+        name = f"{condition}: " if condition else ""
+        lines.append(f"{name}mu_s = {value} ± {error} ({of['pushes']} pushes{spread})")
+    none = sum(p.best.value is None for p in found)
+    if none:
+        lines.append(f"{none} of {len(found)} pushes give no mu_s: the table says why.")
+    far = [p for p in found if abs(p.disagreement or 0.0) > 3]
+    if far:
+        lines.append(
+            f"In {len(far)} of {len(found)} pushes force and distance differ by more than three "
+            "standard errors: the model or the set-up is not right for these data."
+        )
+    if answer["stroke"] and any(not np.isnan(p.velocity) for p in found):
+        lines.append(answer["stroke"])
+    lines += [f"Note: {note}." for note in found.notes]
+    if found.skipped:
+        lines.append(f"Skipped: {len(found.skipped)}, listed below.")
+    return lines
+
+
+def _pushes(found: Identified, velocity: NDArray) -> Table:
+    ways = [way for way in WAYS if np.isfinite(found.values(way)).any()]
+    both = any(p.disagreement is not None for p in found)
+    rows = []
+    for i, p in enumerate(found):
+        row = [p.name or str(i + 1), number(to_mm_min(velocity[i]), 5), p.condition or "–"]
+        for way in ways:
+            one = getattr(p, way)
+            value, error = rounded(one.value, one.standard_error)
+            row.append(value if error == "–" else f"{value} ± {error}")
+        if both:
+            row.append(number(p.disagreement, 2))
+        words = [p.reason or ""]
+        if p.alternatives:
+            others = [x for x in p.alternatives if x != p.mu_s_distance.value]
+            words.append(f"d also from {', '.join(number(x, 3) for x in others)}")
+        rows.append([*row, "; ".join(x for x in words if x)])
+    columns = ["push", "mm/min", "", *(WAYS[way] for way in ways), *["F − d [σ]"] * both, ""]
+    return Table("mu_s of each push", columns, rows)
+
+
+def _conditions(answer: dict) -> Table:
+    rows = []
+    for condition, of in answer["conditions"].items():
+        value, error = rounded(of["mean"], of["standard_error"])
+        spread = None if of["spread"] is None else 100 * of["spread"]
+        rows.append([condition or "all", str(of["pushes"]), value, error, number(spread, 3)])
+    columns = ("", "pushes", "mean mu_s", "± s.e.", "spread [%]")
+    return Table("By condition (best estimates, weighted)", columns, rows)

@@ -1,0 +1,300 @@
+"""`difffric monitor`: what was seen as result.json holds it, its report, the line of an alarm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+from difffric.commands.reports.page import (
+    NO_STROKE,
+    Picture,
+    Report,
+    Section,
+    Table,
+    number,
+    rounded,
+)
+from difffric.errors import InputError
+from difffric.monitoring.change_cause import Candidate, verdict
+from difffric.monitoring.feed import Feed
+from difffric.monitoring.monitor import Monitor
+from difffric.monitoring.records import Alarm, Seen
+from difffric.monitoring.shiryaev_roberts import CHANNELS, DIRECTIONS
+from difffric.units import to_mm_min
+
+ALARM = 3
+"""Exit status where there was an alarm in this run."""
+_SHOWN = 20  # last pushes in the printed table
+
+
+class Explained(NamedTuple):
+    """An alarm with what may have changed."""
+
+    alarm: Alarm
+    causes: list[Candidate]
+    parameter: str | None
+    words: str
+
+
+def explained(monitor: Monitor) -> list[Explained]:
+    """All alarms, by what is known now."""
+    out = []
+    for alarm in monitor.alarms:
+        causes = alarm.causes(monitor.reader)
+        out.append(Explained(alarm, causes, *verdict(causes)))
+    return out
+
+
+def new_alarms(feed: Feed) -> list[Alarm]:
+    """Those of this run."""
+    return [a for a in feed.monitor.alarms if a.push > feed.before]
+
+
+def alarm_line(monitor: Monitor, alarm: Alarm, words: str) -> str:
+    """An alarm for a person."""
+    places = {x.number: x for x in monitor.kept}
+    return (
+        f"ALARM at {_place(places, alarm.push)}: {words}; since {_place(places, alarm.change)}"
+        f" ({alarm.kind})"
+    )
+
+
+def teller(feed: Feed) -> Callable[[Seen], None]:
+    """Says each alarm as it comes."""
+
+    def told(seen: Seen) -> None:
+        if seen.alarm:
+            alarm = feed.monitor.alarms[-1]
+            words = verdict(alarm.causes(feed.monitor.reader))[1]
+            print(alarm_line(feed.monitor, alarm, words), flush=True)
+
+    return told
+
+
+def _place(pushes: dict[int, Seen], which: int) -> str:
+    seen = pushes.get(which)
+    said = ", ".join(filter(None, [seen.source, seen.name])) if seen else ""
+    return f"push {which}" + (f" ({said})" if said else "")
+
+
+def monitor_answer(feed: Feed, alarms: list[Explained]) -> dict:
+    """What was seen, as `difffric monitor` writes it."""
+    monitor = feed.monitor
+    if monitor.count == 0:
+        raise InputError("no pushes: at least one is needed")
+    return {
+        "arl": monitor.arl,
+        "threshold": math.exp(monitor.log_threshold),
+        "counted": monitor.count,
+        "counted_before": feed.before,
+        "recognised": feed.seen_again,
+        "identified": monitor.identified,
+        "judged": monitor.judged,
+        "alarms": [_alarm(x, x.alarm.push > feed.before) for x in alarms],
+        "parts": _parts(monitor),
+        "pushes": [_push(x) for x in monitor.kept],
+        "stroke": NO_STROKE if monitor.setup.rig.pusher.stroke is None else None,
+        "notes": _notes(monitor),
+        "skipped": feed.skipped,
+    }
+
+
+def _alarm(x: Explained, new: bool) -> dict:
+    return {
+        "push": x.alarm.push,
+        "new": new,
+        "change_point": x.alarm.change,
+        "kind": x.alarm.kind,
+        "direction": x.alarm.direction,
+        "pushes_since": len(x.alarm.after),
+        "parameter": x.parameter,
+        "text": x.words,
+        "candidates": [c.as_dict() for c in x.causes],
+    }
+
+
+def _push(x: Seen) -> dict:
+    def pair(value, error):
+        return None if value is None else {"value": value, "standard_error": error}
+
+    def share(log):
+        return None if log is None else math.exp(min(log, 700.0))
+
+    return {
+        "number": x.number,
+        "source": x.source or None,
+        "name": x.name or None,
+        "order": x.order,
+        "velocity_m_per_s": x.velocity,
+        "condition": x.condition,
+        "mass_kg": x.mass,
+        "stroke_m": x.stroke,
+        "peak_force_N": x.peak_force,
+        "sliding_distance_m": x.sliding_distance,
+        "mu_s": pair(x.mu_s, x.standard_error),
+        "state": pair(x.state, x.state_se),
+        "contrast": x.contrast,
+        "z": dict(zip(CHANNELS, x.z, strict=True)),
+        "evidence": share(x.log_evidence),
+        "evidence_by": dict(zip(DIRECTIONS, map(share, x.log_evidence_by), strict=False)),
+        "alarm": x.alarm,
+        "reason": x.reason,
+    }
+
+
+def _parts(monitor: Monitor) -> list[dict]:
+    """The state of each part, and the mean of each of its speeds since the last alarm."""
+    out = []
+    for key, (condition, mass) in monitor.parts.items():
+        level = monitor.levels.get(key)
+        if level is None:
+            continue
+        x, error = level.log_mu_s
+        speeds = []
+        for name, cell in monitor.cells.items():
+            mean = monitor.friction.means.get(name)
+            if cell.part != key or mean is None or mean.weight == 0:
+                continue
+            phi = monitor.friction.spread(name).phi
+            speeds.append(
+                {
+                    "velocity_m_per_s": cell.velocity,
+                    "stroke_m": cell.stroke,
+                    "measured": cell.measured,
+                    "mu_s": math.exp(mean.value),
+                    "spread": None if phi is None else math.sqrt(phi) * monitor.scatter,
+                }
+            )
+        out.append(
+            {
+                "condition": condition,
+                "mass_kg": mass,
+                "mu_s": {"value": math.exp(x), "standard_error": math.exp(x) * error},
+                "speeds": speeds,
+            }
+        )
+    return out
+
+
+def _notes(monitor: Monitor) -> list[str]:
+    notes = []
+    lost = monitor.count - monitor.identified
+    if lost:
+        notes.append(f"{lost} of {monitor.count} pushes could not be identified.")
+    row = 0
+    for x in reversed(monitor.kept):
+        if x.mu_s is not None:
+            break
+        row += 1
+    if row >= 3 and monitor.identified:
+        notes.append(f"None of the last {row} pushes could be identified: look at the machine.")
+    first = monitor.identified - monitor.judged
+    if first > 0.5 * monitor.identified and monitor.identified >= 10:
+        notes.append(
+            f"{first} of {monitor.identified} pushes were the first of their part and speed, and "
+            "say nothing of a change: repeat the speeds, and let condition name parts, not pushes."
+        )
+    return notes
+
+
+def monitor_report(feed: Feed, answer: dict, alarms: list[Explained], pictures: bool) -> Report:
+    """What was seen, for a person."""
+    monitor = feed.monitor
+    new = monitor.count - feed.before
+    lines = [alarm_line(monitor, x.alarm, x.words) for x in alarms if x.alarm.push > feed.before]
+    if not lines:
+        lines = [f"No alarm in {new} pushes."]
+    again = f", {feed.seen_again} recognised and not counted again" if feed.seen_again else ""
+    lines.append(
+        f"{new} new pushes, {monitor.count} in all{again}. While nothing changes, a false alarm "
+        f"comes once in {monitor.arl:g} pushes in the mean."
+    )
+    lines += answer["notes"]
+    if answer["stroke"]:
+        lines.append(answer["stroke"])
+    drawn = []
+    if pictures:
+        from difffric.commands.figures.monitor import charts
+
+        drawn.append(
+            Picture(
+                "monitor",
+                "Above: mu_s of each push, and the state of its part at the part's first speed. "
+                "Middle: what mu_s cannot explain, against the pushes before. Below: the evidence "
+                "of a change. Lines: alarms; dotted: estimated changes.",
+                charts(monitor),
+            )
+        )
+    text = (
+        "Each push is held against those before of the same part, speed and stroke. The state "
+        "follows about ten pushes; its standard error is that of the level, without the "
+        "calibration's.",
+    )
+    causes = [_causes(alarms)] if alarms else []
+    tables = [_last(answer)]
+    lost = [x for x in answer["pushes"] if x["reason"]]
+    if lost:
+        rows = [[str(x["number"]), x["name"] or "–", x["reason"]] for x in lost[-_SHOWN:]]
+        tables.append(Table("Not identified", ("push", "", ""), rows))
+    if feed.skipped:
+        tables.append(Table("Left out", ("",), [[line] for line in feed.skipped]))
+    sections = [
+        Section("State", text, [_states(answer), *causes], drawn),
+        Section("Pushes", (), tables),
+    ]
+    return Report("Watched machine", lines, sections)
+
+
+def _causes(alarms: list[Explained]) -> Table:
+    rows = []
+    for x in alarms:
+        for k, c in enumerate(x.causes):
+            change, error = rounded(100 * c.change, c.standard_error and 100 * c.standard_error)
+            rows.append(
+                [
+                    str(x.alarm.push) if k == 0 else "",
+                    str(x.alarm.change) if k == 0 else "",
+                    c.words.rsplit(" ", 4)[0] if c.standard_error else c.words.rsplit(" ", 2)[0],
+                    change if error == "–" else f"{change} ± {error}",
+                    number(c.drop, 4),
+                    number(c.probability, 2),
+                    number(c.left, 2),
+                ]
+            )
+    columns = ("alarm at", "change at", "candidate", "change [%]", "chi² drop", "probability",
+               "p of what is left")  # fmt: skip
+    return Table("What may have changed", columns, rows)
+
+
+def _states(answer: dict) -> Table:
+    rows = []
+    for part in answer["parts"]:
+        value, error = rounded(*part["mu_s"].values())
+        speeds = ", ".join(f"{to_mm_min(s['velocity_m_per_s']):.4g}" for s in part["speeds"])
+        rows.append(
+            [part["condition"] or "–", number(part["mass_kg"]), f"{value} ± {error}", speeds or "–"]
+        )
+    return Table("State", ("part", "mass [kg]", "mu_s", "speeds since the last alarm"), rows)
+
+
+def _last(answer: dict) -> Table:
+    rows = []
+    for x in answer["pushes"][-_SHOWN:]:
+        z = x["z"]
+        state = x["state"] or {"value": None}
+        rows.append(
+            [
+                str(x["number"]) + (" ALARM" if x["alarm"] else ""),
+                number(to_mm_min(x["velocity_m_per_s"])),
+                x["condition"] or "–",
+                number(x["mu_s"] and x["mu_s"]["value"]),
+                number(state["value"]),
+                number(z["friction"], 2),
+                number(z["contrast"], 2),
+                number(x["evidence"], 2),
+            ]
+        )
+    columns = ("push", "mm/min", "part", "mu_s", "state", "mu_s [σ]", "contrast [σ]",
+               "evidence")  # fmt: skip
+    return Table("The last pushes", columns, rows)

@@ -1,0 +1,177 @@
+"""`difffric plan`: the next push as result.json holds it, and the report."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from difffric.centering.planning import SCATTER, Known, Plan, Step
+from difffric.centering.ring import Ring, measure
+from difffric.centering.ring_csv import load_ring
+from difffric.commands.reports.page import Picture, Report, Section, Table, number
+from difffric.errors import InputError
+from difffric.rig import parameters
+from difffric.rig.setup import Extras, Setup
+from difffric.units import from_mm, from_um, to_mm, to_mm_min, to_um
+
+SOURCES = {
+    "mu_s": "mu_s: scatter from push to push, and its mean",
+    "offset": "where the part stands",
+}
+
+
+def with_mu_s(setup: Setup, mu_s: float | None, error: float | None) -> Setup:
+    """The set-up with another mu_s, or another standard error of it."""
+    rig = setup.rig if mu_s is None else parameters.with_values(setup.rig, {"mu_s": mu_s})
+    extras = dict(setup.extras)
+    if mu_s is not None or error is not None:
+        extras["mu_s"] = Extras(standard_error=error)
+    return replace(setup, rig=rig, extras=extras)
+
+
+def offset_of(
+    offset_um: float | None, error_um: float, ring: Path | None, radius_mm: float | None
+) -> tuple[float, float, Ring | None]:
+    """(offset [m], its standard error [m], the ring that it was found from). Raises `InputError`
+    unless one of both says it."""
+    if (offset_um is None) == (ring is None):
+        raise InputError("the offset: expected --offset-um or --ring, one of them")
+    if ring is None:
+        return from_um(offset_um), from_um(error_um), None
+    try:
+        found = measure(*load_ring(ring, None if radius_mm is None else from_mm(radius_mm)))
+    except InputError as error:
+        raise InputError(str(error) if str(ring) in str(error) else f"{ring}: {error}") from None
+    return found.offset, found.offset_se, found
+
+
+def notes_on(setup: Setup) -> list[str]:
+    """What the set-up does not say, and what is taken instead."""
+    said = setup.extras.get("mu_s", Extras()).standard_error
+    notes = []
+    if setup.mu_s_scatter is None:
+        notes.append(f"mu_s_scatter is not given: {100 * SCATTER:g} % is taken.")
+    if not said:
+        notes.append("mu_s has no standard error: its mean is taken to be exact.")
+    if not any(e.standard_error for name, e in setup.extras.items() if name != "mu_s"):
+        notes.append("The calibration has no standard errors: it is taken to be exact.")
+    return notes
+
+
+def step_answer(step: Step) -> dict:
+    """A push as result.json has it (SI)."""
+    return {
+        "velocity_m_per_s": step.velocity,
+        "stroke_m": step.stroke,
+        "duration_s": step.duration,
+        "aim_m": step.aim,
+        "probability": step.probability,
+        "landing_standard_deviation_m": step.deviations["all"],
+        "by_source_m": {k: v for k, v in step.deviations.items() if k != "all"},
+        "limited_by": step.limited_by,
+        "released": step.released,
+    }
+
+
+def plan_answer(found: Plan, known: Known, ring: Ring | None, notes: list[str]) -> dict:
+    """A plan as `difffric plan` writes it."""
+    mean, error = known.mu_s.mean
+    first = found.options
+    return {
+        "offset_m": found.target,
+        "offset_standard_error_m": found.target_error,
+        "direction_rad": None if ring is None else ring.direction,
+        "within_m": known.within,
+        "mu_s": mean,
+        "mu_s_relative_standard_error": error,
+        "mu_s_scatter": known.mu_s.scatter,
+        "probability": found.probability,
+        "pushes": [step_answer(step) for step in found.steps],
+        "speeds": [
+            {
+                "velocity_m_per_s": float(v),
+                "stroke_m": _none(first.stroke[0, i]),
+                "duration_s": _none(first.duration[0, i]),
+                "probability": _none(first.probability[0, i]),
+            }
+            for i, v in enumerate(first.velocity)
+        ],
+        "ring": None if ring is None else ring.as_dict(),
+        "notes": notes,
+    }
+
+
+def _none(x) -> float | None:
+    return float(x) if np.isfinite(x) else None
+
+
+def plan_report(
+    found: Plan, known: Known, answer: dict, ring: Ring | None, pictures: bool
+) -> Report:
+    """A plan for a person."""
+    step = found.next
+    turn = [] if ring is None else [f"turn the ring to {np.degrees(ring.direction):.3f} degrees"]
+    line = ", ".join(
+        [
+            *turn,
+            f"push by {to_um(step.stroke):.2f} µm at {to_mm_min(step.velocity):.0f} mm/min",
+        ]
+    )
+    within = f"{to_um(known.within):g} µm"
+    summary = [
+        f"{line[0].upper()}{line[1:]}.",
+        f"It ends within {within} of the target with a probability of {step.probability:.4f}"
+        + (
+            f"; after {len(found.steps)} pushes {found.probability:.4f}."
+            if len(found.steps) > 1
+            else "."
+        ),
+        *answer["notes"],
+    ]
+    if not step.released:
+        summary.append("The part is likely to rest in contact with the tip: there will be no d.")
+    if step.probability < 0.99:
+        summary.append(f"What limits it: {_source(step.limited_by)}.")
+    rows = [
+        [
+            str(i),
+            number(to_mm_min(s.velocity), 4),
+            number(to_um(s.stroke), 6),
+            number(to_um(s.aim), 5),
+            number(to_um(s.deviations["all"]), 3),
+            f"{s.probability:.4f}",
+            number(s.duration, 3),
+        ]
+        for i, s in enumerate(found.steps, 1)
+    ]
+    columns = ("push", "mm/min", "stroke [µm]", "aim [µm]", "spread [µm]", "lands", "time [s]")
+    spread = [[_source(k), number(to_um(v), 3)] for k, v in step.deviations.items() if k != "all"]
+    tables = [
+        Table("Pushes; those after the first are what is likely then", columns, rows),
+        Table("What spreads the first push's landing", ("source", "[µm]"), spread),
+    ]
+    drawn = []
+    if pictures:
+        from difffric.commands.figures import plan
+
+        drawn = [
+            Picture(
+                "speeds",
+                "The push that ends at the target, at each speed: how likely it lands within the "
+                "tolerance, how its landing spreads, and its stroke; the push that was taken is "
+                "marked.",
+                plan.speeds(found, known),
+            )
+        ]
+    text = (
+        f"The target is {to_mm(found.target):.6g} mm away. The stroke is solved on the whole push "
+        "(contact, rebound, further contacts, slide); the part may also end in contact with the "
+        "tip, which then goes back and leaves it there.",
+    )
+    return Report("The next push", summary, [Section("Plan", text, tables, drawn)])
+
+
+def _source(name: str) -> str:
+    return SOURCES.get(name, f"{name}, as calibrated")

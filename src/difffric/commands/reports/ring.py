@@ -1,0 +1,53 @@
+"""`difffric ring`: the report of a measured ring."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.centering.ring import Ring
+from difffric.commands.reports.page import Picture, Report, Section, Table, rounded
+from difffric.units import to_mm, to_um
+
+
+def ring_report(ring: Ring, angle: NDArray, radius: NDArray, pictures: bool = True) -> Report:
+    """A measured ring for a person. `angle` [rad], `radius` [m]."""
+    rows = [
+        ["offset [µm]", *rounded(to_um(ring.offset), to_um(ring.offset_se))],
+        ["direction [degrees]", *rounded(*np.degrees([ring.direction, ring.direction_se]))],
+        ["x [µm]", *rounded(to_um(ring.x), to_um(ring.covariance[0, 0] ** 0.5))],
+        ["y [µm]", *rounded(to_um(ring.y), to_um(ring.covariance[1, 1] ** 0.5))],
+        ["radius [mm]", *rounded(to_mm(ring.radius), to_mm(ring.radius_se))],
+    ]
+    tables = [Table("The ring", ("", "value", "standard error"), rows)]
+    lobes = [
+        [str(n), *(f"{to_um(v):.3f} ± {to_um(e):.3f}" for v, e in zip(value, se, strict=True))]
+        for n, (value, se) in enumerate(zip(ring.lobes, ring.lobes_se, strict=True), 2)
+        if (np.abs(value) > 3 * se).any()
+    ]
+    if lobes:
+        columns = ("order", "cos [µm]", "sin [µm]")
+        tables.append(Table("Lobes beyond three standard errors", columns, lobes))
+    offset, se = rounded(to_um(ring.offset), to_um(ring.offset_se))
+    direction, direction_se = rounded(*np.degrees([ring.direction, ring.direction_se]))
+    n, out = int(np.isfinite(ring.residuals).sum()), len(ring.outliers)
+    chi2 = "" if ring.reduced_chi2 is None else f", reduced chi-square {ring.reduced_chi2:.3g}"
+    summary = [
+        f"The centre is {offset} ± {se} µm off the axis: with the table at {direction} ± "
+        f"{direction_se} degrees it lies towards the probe. Push from there towards the axis.",
+        f"{n} readings over {np.degrees(ring.arc):.0f} degrees, {ring.missing} missing, {out} "
+        f"outliers; noise {to_um(ring.noise):.3g} µm{chi2}.",
+        *(f"Note: {note}." for note in ring.notes),
+    ]
+    text = []
+    if out:
+        some = ", ".join(f"{i + 1}" for i in ring.outliers[:20])
+        text.append(f"Outliers, by reading: {some}{' ...' if out > 20 else ''}.")
+    text.append("A first harmonic of the ring's form cannot be told from an offset.")
+    shown = []
+    if pictures:
+        from difffric.commands.figures.ring import ring_figure
+
+        caption = "Deviation from the fitted radius, much enlarged; residuals; form."
+        shown.append(Picture("ring", caption, ring_figure(angle, radius, ring)))
+    return Report("Ring", summary, [Section("Offset", text, tables, shown)])

@@ -1,0 +1,75 @@
+"""`difffric simulate`: one push as result.json holds it, and its report."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table, number
+from difffric.rig import parameters
+from difffric.rig.rig import Rig
+from difffric.simulation.segments import REASONS, REGIMES
+from difffric.simulation.sensitivities import regime_margin, sensitivity
+from difffric.units import from_mm_min, to_um
+
+
+def simulate_answer(rig: Rig, velocity: float) -> dict:
+    """One push, as `difffric simulate` writes it."""
+    found = sensitivity(rig, velocity)
+    seen = found.observables
+    margin = regime_margin(rig, velocity)
+    reason = REASONS[int(seen.reason)]
+    d = float(seen.sliding_distance)
+    return {
+        "peak_force_N": float(seen.peak_force),
+        "peak_contact_force_N": float(seen.peak_force),
+        "sliding_distance_m": None if reason else d,
+        "reason": reason,
+        "regime": REGIMES[int(seen.regime)],
+        "stuck_first": bool(seen.stuck_first),
+        "contacts": int(seen.contacts),
+        "margin": margin.margin if np.isfinite(margin.margin) else None,
+        "side": margin.side,
+        "stroke": NO_STROKE if rig.pusher.stroke is None else None,
+        "derivatives": {
+            "peak_force_N": {k: float(v) for k, v in found.peak_force.items()},
+            "sliding_distance_m": {k: float(v) for k, v in found.sliding_distance.items()},
+        },
+    }
+
+
+def simulate_pictures(rig: Rig, velocity: float) -> list[Picture]:
+    """Position and force over time."""
+    from difffric.commands.figures.style import response
+    from difffric.simulation.trajectory import simulate
+
+    push = {"": simulate(rig, velocity)}
+    return [
+        Picture("position", "Position of the part over time.", response(push, "position")),
+        Picture("force", "Contact force over time.", response(push, "force")),
+    ]
+
+
+def simulate_report(answer: dict, velocity_mm_min: float, rig: Rig, pictures) -> Report:
+    """One push for a person."""
+    d = answer["sliding_distance_m"]
+    distance = f"d = {number(to_um(d), 6)} µm" if d is not None else f"d: none ({answer['reason']})"
+    regime = answer["regime"].replace("_", " ")
+    first = ", stuck first" if answer["stuck_first"] else ""
+    side = "" if answer["side"] == "both" else f", derivatives from the {answer['side']}"
+    summary = [
+        f"F_p = {number(answer['peak_force_N'], 6)} N, {distance}",
+        f"{regime}{first}; contacts: {answer['contacts']}; next regime at a relative change of "
+        f"mu_s of {number(answer['margin'], 3)}{side}",
+    ]
+    if answer["stroke"]:
+        summary.append(answer["stroke"])
+    derivatives = answer["derivatives"]
+    values = {**parameters.values(rig), "velocity_m_per_s": from_mm_min(velocity_mm_min)}
+    dd = derivatives["sliding_distance_m"]
+    rows = [
+        [name, number(float(values[name]), 6), number(dF), number(dd[name])]
+        for name, dF in derivatives["peak_force_N"].items()
+    ]
+    table = Table("Exact derivatives [SI]", ("parameter", "value", "dF_p [N/…]", "dd [m/…]"), rows)
+    title = f"One push at {velocity_mm_min:g} mm/min"
+    return Report(title, summary, [Section("Derivatives", (), [table], pictures)])

@@ -1,0 +1,71 @@
+"""What else would explain the same: effects whose derivatives, all else projected out, are parallel
+to those of a cause, put in its place in the final model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.diagnosis.candidates import numbers_of
+from difffric.diagnosis.exploration import Candidate, beside_null
+from difffric.estimation import ensemble as en
+from difffric.estimation import ensemble_refits
+from difffric.estimation.ensemble import Fits, Task
+
+_PARALLEL = 0.8
+"""Share of an effect's information that a cause takes, from which it is tried in its place."""
+_ROUNDS = 15
+
+
+def alternatives(
+    task: Task, plain: Fits, base: Fits, cause: Candidate, others: Sequence[str]
+) -> list[Candidate]:
+    """The `others` of one number in the place of a cause of `base` (an ensemble of one, as the
+    plain fit is), where their derivatives are parallel to the cause's."""
+    mine = task.model.coordinates.indices(numbers_of(cause.effect))
+    if not set(mine) <= set(base.extra[0]):  # a ratio, free in the plain model too
+        return []
+    before, out = float(en.criterion(task, base)[0]), []
+    for effect in others:
+        index = task.model.coordinates.indices(numbers_of(effect))
+        if len(index) > 1 or set(index) <= set(base.extra[0]):
+            continue
+        share, step = _overlap(task, plain, base, mine, index)
+        if share < _PARALLEL:
+            continue
+        c = base.c.copy()
+        c[0, mine], c[0, index] = plain.c[0, mine], plain.c[0, index] + step
+        low, high = task.model.coordinates.bounds(task.model.coordinates.names[index[0]])
+        c[0, index] = np.clip(c[0, index], low, high)
+        extra = (*(i for i in base.extra[0] if i not in mine), *index)
+        at = replace(base, extra=(extra,), c=c, gram=None, residual=None, damping=None)
+        at = ensemble_refits.refitted(task, at, _ROUNDS)
+        drop = cause.drop + before - float(en.criterion(task, at)[0])
+        out.append(replace(cause, effect=effect, fits=at, drop=drop, predicted=0.0,
+                           penalised_drop=drop - len(index) * task.price))  # fmt: skip
+    return out
+
+
+def _overlap(task: Task, plain: Fits, base: Fits, mine, index) -> tuple[float, NDArray]:
+    """The share of an effect's information that the cause's numbers take, all else projected out;
+    and the effect's size that does what the cause does."""
+    at = beside_null(task, replace(base, extra=((*base.extra[0], *index),)))
+    H = en.normal(task, en.evaluated(task, at)).H[0]
+    known = task.conditions + len(task.shared)
+    a = known + np.array([base.extra[0].index(i) for i in mine])
+    b = known + len(base.extra[0]) + np.arange(len(index))
+    rest = np.setdiff1d(np.arange(len(H)), [*a, *b])
+    scale = np.sqrt(np.maximum(np.diag(H), 1e-12))
+    H = H / np.outer(scale, scale)
+    X = H[rest][:, [*a, *b]]
+    S = H[np.ix_([*a, *b], [*a, *b])] - X.T @ np.linalg.pinv(H[np.ix_(rest, rest)]) @ X
+    k = len(a)
+    cross, own = S[:k, k:], S[k:, k:]
+    if own[0, 0] < 1e-10:
+        return 0.0, np.zeros(len(b))
+    share = cross.T @ np.linalg.pinv(S[:k, :k]) @ cross / own
+    moved = (base.c[0, mine] - plain.c[0, mine]) * scale[a]
+    return float(share[0, 0]), (cross.T @ moved / own[0, 0]) / scale[b]

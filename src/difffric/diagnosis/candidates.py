@@ -1,0 +1,121 @@
+"""Where a diagnosis looks for each effect: sizes, wavelengths and places on a coarse grid.
+
+A strong effect defeats a linear prediction from its null, and some (a Stribeck speed, a
+wavelength, a place) have none: there the search starts from a grid of values instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.rig import catalogue
+from difffric.rig.catalogue import CATALOGUE, RATIO
+from difffric.units import GRAVITY
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What pushes are like: the scales on which effects would show."""
+
+    mass: float
+    mu_s: float
+    fastest: float
+    """[m/s]"""
+    slowest: float
+    peak: float
+    """largest force [N]"""
+    reach: float
+    """how far the part gets [m]"""
+    travel: float
+    """how far the tip does, about [m]"""
+    compression: float
+    """of the contact at the peak [m]"""
+    ways: NDArray
+    """(n,) how far the part gets in each push, about [m]"""
+
+
+def numbers_of(effect: str) -> tuple[str, ...]:
+    """The parameters of an effect that a fit moves, as `parameters` names them."""
+    if effect == RATIO:
+        return ("mu_k_over_mu_s",)
+    return tuple(f"{effect}.{key.name}" for key in CATALOGUE[effect].keys if not key.fixed)
+
+
+def component_of(effect: str) -> str:
+    """The component that an effect belongs to."""
+    return catalogue.FRICTION if effect == RATIO else CATALOGUE[effect].component
+
+
+LOCAL = {
+    "tilt", "normal_force", "friction_drift", "quadratic_drag", "static_dwell", "friction_ratio",
+    "rebound_damping", "contact_hardening", "initial_gap", "pusher_speed", "pusher_ramp",
+    "pusher_lag", "force_lowpass", "force_highpass", "force_gain", "force_offset", "probe_scale",
+    "channel_skew", "sample_clipping", "release_threshold",
+}  # fmt: skip
+"""Effects whose first derivative at the null is there: a search may start from it too."""
+
+
+def grid(effect: str, scale: Scales) -> Iterator[dict[str, float]]:
+    """Starting values [SI] of an effect's numbers."""
+    names = numbers_of(effect)
+    for values in _values(effect, scale):
+        yield dict(zip(names, np.atleast_1d(values).tolist(), strict=True))
+
+
+def _values(effect: str, s: Scales):
+    signs = (-1.0, 1.0)
+    weight = s.mass * GRAVITY
+    match effect:
+        case "tilt":
+            return [a * x for a in signs for x in (0.003, 0.02)]
+        case "normal_force":
+            return [a * x * weight for a in signs for x in (0.03, 0.2)]
+        case "friction_drift":
+            return [a * x for a in signs for x in (0.03, 0.2)]
+        case "friction_ratio":
+            return [0.55, 0.67, 0.70, 0.72, 0.735, 0.765, 0.78, 0.80, 0.84, 0.95]
+        case "stribeck":
+            return np.geomspace(0.04 * s.slowest, 8 * s.fastest, 12)
+        case "quadratic_drag":
+            return [x * s.mu_s * weight / s.fastest**2 for x in (0.03, 0.3)]
+        case "static_dwell":
+            return np.geomspace(0.005, 0.2, 12)
+        case "presliding":
+            return [(x, 0.4 * np.sqrt(x * s.mass)) for x in (1e6, 3e6, 1e7, 3e7)]
+        case "rebound_damping":
+            return [0.15, 0.5, 0.95]
+        case "contact_hardening":
+            return [1.08, 1.25, 1.5, 1.9]
+        case "initial_gap":
+            return np.geomspace(2e-6, 0.6 * s.travel, 7)
+        case "pusher_speed":
+            return [0.9, 0.97, 1.03, 1.1]
+        case "pusher_ramp":
+            return s.fastest / np.array([3e-4, 2e-3, 1e-2, 4e-2])
+        case "pusher_lag":
+            return [1e-4, 5e-4, 2e-3, 8e-3]
+        case "force_lowpass":
+            return [3e-5, 2e-4, 1e-3, 4e-3]
+        case "force_highpass":
+            return [0.05, 0.3, 2.0]
+        case "force_gain":
+            return [0.9, 0.97, 1.03, 1.1]
+        case "force_offset":
+            return [a * x * s.peak for a in signs for x in (0.01, 0.05)]
+        case "force_saturation":
+            return [x * s.peak for x in (0.5, 0.75, 0.9, 0.97, 0.995)]
+        case "sample_clipping":
+            return [300.0, 1000.0, 4000.0]
+        case "probe_scale":
+            return [0.95, 0.99, 1.01, 1.05]
+        case "release_threshold":
+            return [x * s.peak for x in (0.01, 0.04, 0.12)]
+        case "channel_skew":
+            return [3e-5, 2e-4, 1e-3]
+        case _:
+            keys = CATALOGUE[effect].keys
+            return [[key.typical for key in keys if not key.fixed]]

@@ -1,0 +1,175 @@
+"""Measured pushes as a diagnosis takes them, beside the plain fit from which it starts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from difffric.calibration.result import Fit
+from difffric.diagnosis.candidates import Scales, numbers_of
+from difffric.estimation.blocks import stacked_blocks
+from difffric.estimation.effect_coordinates import PLAIN, Coordinates
+from difffric.estimation.ensemble import Fits, Task
+from difffric.estimation.extended_model import (
+    PRESLIDING,
+    RECORDINGS,
+    SLIDES,
+    TABLE,
+    ExtendedModel,
+    Pushes,
+)
+from difffric.estimation.stacked_data import strokes_of
+from difffric.measurements.pushes import Pushes as Measured
+from difffric.measurements.reduction.reduce import Reduction
+from difffric.rig import parameters
+from difffric.rig.catalogue import CATALOGUE, FORCE, PROBE, RATIO, extended
+from difffric.rig.rig import Rig
+from difffric.units import GRAVITY
+
+NOT_IN_RECORDINGS = ("sample_clipping", "release_threshold")
+"""Effects that only reduced numbers have."""
+IN_SLIDES = ("quadratic_drag", "stribeck", "friction_drift", "normal_force")
+"""Effects that a free slide shows, whose place on the rails is not known."""
+
+
+@dataclass(frozen=True)
+class DiagnosisData:
+    """What is compared: the task, its scales, and the effects that can be looked for."""
+
+    task: Task
+    scales: Scales
+    measured: Measured
+    looked_for: tuple[str, ...]
+    impossible: dict[str, str]
+    """effects that these data cannot show, with the reason"""
+    reduction: Reduction | None
+    """of recordings"""
+
+
+def diagnosis_data(
+    rig: Rig, measured: Measured, reduction: Reduction | None, noise
+) -> DiagnosisData:
+    """The data of a table or of free slides (`noise`: standard errors of F_p and d, (n, 2), NaN:
+    not known) or of recordings, against a plain rig. No parameter is free yet but mu_s."""
+    slides = measured.free_slides
+    if slides:
+        measured = replace(measured, velocity=measured.release_velocity)
+    n = len(measured)
+    _, strokes = strokes_of(rig, measured.stroke)
+    order = measured.order if np.isfinite(measured.order).all() else np.arange(n, dtype=float)
+    span = np.ptp(order)
+    mass = np.where(np.isnan(measured.mass), float(rig.mass), measured.mass)
+    rest = measured.rest_before
+    impossible = _impossible(measured, reduction, mass, span, slides)
+    if reduction is None:
+        data, counts, open_ = _table(measured, noise)
+        left_out, kind = (PRESLIDING,), SLIDES if slides else TABLE
+    else:
+        values = parameters.values(rig)
+        frequency = np.sqrt(float(values["k_N_per_m"]) / mass.min())
+        data = stacked_blocks(reduction.recordings, reduction.details, strokes, frequency)
+        counts = np.stack([(blocks.a > 0).sum(axis=1) for blocks in data], axis=1).astype(float)
+        open_ = (False, False)
+        left_out, kind = NOT_IN_RECORDINGS, RECORDINGS
+    pushes = Pushes(
+        measured.velocity, mass, strokes, (order - order.min()) / (span or 1.0),
+        np.nan_to_num(rest), data,
+    )  # fmt: skip
+    every = {e: {} for e in CATALOGUE if e not in left_out}
+    plain = parameters.with_stroke(rig, 1.0)
+    coordinates = Coordinates.of(extended(plain, every))
+    whole = extended(plain, {e: keys for e, keys in every.items() if e != PRESLIDING})
+    names = list(dict.fromkeys(measured.condition))
+    task = Task(
+        model=ExtendedModel(coordinates, whole, pushes, kind),
+        shared=(),
+        condition=np.array([names.index(c) for c in measured.condition]),
+        open_spread=open_,
+        counts=counts,
+    )
+    looked_for = tuple(e for e in (*CATALOGUE, RATIO) if e not in left_out and e not in impossible)
+    return DiagnosisData(task, _scales(rig, measured, strokes, mass), measured, looked_for,
+                         impossible, reduction)  # fmt: skip
+
+
+def _table(measured: Measured, noise):
+    both = np.stack([measured.peak_force, measured.sliding_distance], axis=1)
+    there = np.isfinite(both)
+    unknown = (there & np.isnan(noise)).any(axis=0)
+    open_ = bool(unknown[0]), bool(unknown[1])
+    size = [np.abs(both[there[:, k], k]).max(initial=1e-9) for k in (0, 1)]
+    sd = np.where(np.isnan(noise), 0.02 * np.array(size), noise)
+    weight = np.where(there, 1.0 / sd, 0.0)
+    return (np.where(there, both, 0.0), weight), there.astype(float), open_
+
+
+def _impossible(measured: Measured, reduction, mass, span, slides) -> dict[str, str]:
+    """Effects that these data have no way to show."""
+    out: dict[str, str] = {}
+    if reduction is None:
+        out[PRESLIDING] = "bristles are looked for in recordings only"
+    if slides:
+        some = (*CATALOGUE, RATIO)
+        out = dict.fromkeys(some, "free slides have no push, and no known place on the rails")
+        out = {name: why for name, why in out.items() if name not in IN_SLIDES}
+    if not np.isfinite(measured.rest_before).all():
+        out["static_dwell"] = "the rest before each push (rest_before_s) is not recorded"
+    elif np.ptp(np.log1p(measured.rest_before)) < 1e-6:
+        out["static_dwell"] = "every push had the same rest before it"
+    if span == 0 or len(measured) < 3:
+        out["friction_drift"] = "too few pushes to show a drift"
+    if np.ptp(mass) < 1e-6 * mass.max():
+        out["normal_force"] = "every push had the same mass: a normal force is one with mu_s"
+    if reduction is not None:
+        for name in NOT_IN_RECORDINGS:
+            out[name] = "recordings hold the samples themselves"
+    for component, there, what in (
+        (FORCE, measured.peak_force, "force"),
+        (PROBE, measured.sliding_distance, "position"),
+    ):
+        if not np.isfinite(there).any() and not slides:
+            own = [e for e, one in CATALOGUE.items() if one.component == component]
+            out |= {e: f"no {what} was recorded" for e in own if e not in out}
+    return out
+
+
+def _scales(rig: Rig, measured: Measured, strokes, mass) -> Scales:
+    F, d = measured.peak_force, measured.sliding_distance
+    mu = float(parameters.values(rig)["mu_s"])
+    peak = float(np.nanmax(F)) if np.isfinite(F).any() else mu * float(mass.max()) * GRAVITY
+    slid = float(np.nanmax(d)) if np.isfinite(d).any() else 1e-3
+    contact = peak / float(parameters.values(rig)["k_N_per_m"])
+    finite = strokes[np.isfinite(strokes)]
+    travel = float(np.median(finite)) if len(finite) else 10 * contact
+    return Scales(
+        mass=float(mass.mean()), mu_s=mu, fastest=float(measured.velocity.max()),
+        slowest=float(measured.velocity.min()), peak=peak, reach=travel + slid, travel=travel,
+        compression=1.2 * contact,
+        ways=np.where(np.isfinite(strokes), strokes, travel) + np.nan_to_num(d),
+    )  # fmt: skip
+
+
+def beside(data: DiagnosisData, fit: Fit) -> tuple[DiagnosisData, Fits]:
+    """The data with what was free in a plain fit of them, and where that ended, as an ensemble of
+    one."""
+    task = data.task
+    coordinates, model = task.model.coordinates, fit.work[0]
+    shared = [name for name in dict.fromkeys(fit.names) if name in PLAIN and name != "mu_s"]
+    task = replace(
+        task,
+        shared=tuple(coordinates.index(name) for name in shared),
+        mu_free="mu_s" in fit.names,
+        estimate_scatter=model.estimate_scatter,
+    )
+    looked_for = tuple(
+        e for e in data.looked_for if not (e == RATIO and numbers_of(e)[0] in shared)
+    )
+    c = np.zeros((1, len(coordinates.names)))
+    values = parameters.values(fit.rig)
+    c[0, coordinates.indices(PLAIN)] = coordinates.point({n: float(values[n]) for n in PLAIN})
+    log_mu = np.log(fit.mu_s)
+    mu = np.array([[log_mu[task.condition == k].mean() for k in range(task.conditions)]])
+    own = (log_mu - mu[0, task.condition])[None]
+    fits = Fits(((),), c, mu, own, np.array([max(fit.scatter, 1e-4)]), np.ones((1, 2)))
+    return replace(data, task=task, looked_for=looked_for), fits

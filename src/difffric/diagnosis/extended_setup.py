@@ -1,0 +1,57 @@
+"""The rig and the set-up that a diagnosis extends, and those that it starts from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from difffric.estimation import ensemble as en
+from difffric.estimation.effect_coordinates import PLAIN
+from difffric.estimation.ensemble import Fits, Task
+from difffric.rig import catalogue, parameters
+from difffric.rig.friction import innermost
+from difffric.rig.rig import Rig
+from difffric.rig.setup import Extras, Setup
+
+
+def stripped(setup: Setup) -> tuple[Setup, dict[str, float]]:
+    """The plain set-up behind an extended one, and the effects' numbers by name."""
+    rig = setup.rig
+    known = {n: float(parameters.values(rig)[n]) for n in catalogue.parameter_names(rig)}
+    extras = {name: x for name, x in setup.extras.items() if name not in catalogue.KEYS}
+    plain = replace(
+        rig, friction=innermost(rig.friction), contact=innermost(rig.contact),
+        pusher=innermost(rig.pusher), force_sensor=innermost(rig.force_sensor),
+        probe=innermost(rig.probe),
+    )  # fmt: skip
+    return replace(setup, rig=plain, extras=extras), known
+
+
+def extended_rig(plain: Rig, task: Task, fits: Fits) -> Rig:
+    """The plain rig as an ensemble of one has it, with its effects."""
+    coordinates = task.model.coordinates
+    values: dict[str, float] = dict(zip(PLAIN, coordinates.values(fits.c[0], PLAIN), strict=True))
+    values["mu_s"] = float(np.exp(fits.mu[0].mean()))
+    inside: dict[str, dict[str, float]] = {}
+    names = [coordinates.names[i] for i in fits.extra[0]]
+    for name, value in zip(names, coordinates.values(fits.c[0], names), strict=True):
+        effect, _, key = name.partition(".")
+        if key:
+            inside.setdefault(effect, {})[key] = value
+    return catalogue.extended(parameters.with_values(plain, values), inside)
+
+
+def extended_setup(setup: Setup, rig: Rig, task: Task, fits: Fits) -> Setup:
+    """The set-up as it is written: values, standard errors, what is free."""
+    coordinates = task.model.coordinates
+    C = en.covariance(task, fits)[0][task.conditions :, task.conditions :]
+    extras = dict(setup.extras)
+    columns = [*task.shared, *fits.extra[0]]
+    names = [coordinates.names[i] for i in columns]
+    errors = coordinates.errors(fits.c[0], names, columns, C)
+    for name, error in zip(names, errors, strict=True):
+        known = extras.get(name, Extras())
+        extras[name] = Extras(error if error > 0 else None, True, known.lower, known.upper)
+    scatter = float(fits.scatter[0]) if task.mu_free else setup.mu_s_scatter
+    return Setup(rig, scatter, extras)

@@ -1,0 +1,68 @@
+"""Whether a fit leaves more than noise, and where: by channel, phase, speed, push."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from difffric.estimation.ensemble import Fits, Task
+
+BINS = 12
+"""Stretches that each channel of a push is cut into: a misfit lasts longer than a sample."""
+
+
+@dataclass(frozen=True)
+class LackOfFit:
+    """The test: sums of residuals over stretches of each push, in standard deviations."""
+
+    p_value: float | None
+    """None: the noise is not known, and nothing can be said"""
+    excess: float
+    """chi-square less what noise alone would leave"""
+    expected: float
+    """what noise alone would leave"""
+    chi2: NDArray
+    """(n, 2) of each push and channel"""
+
+
+_LINEAR = 0.3
+
+
+def far(task: Task, fits: Fits) -> bool:
+    """Whether a fit (an ensemble of one) leaves so much, relative to the noise, that what is
+    linear at an effect's null is not to be trusted; or nothing is known of the noise."""
+    left = lack_of_fit(task, fits)
+    return left.p_value is None or left.excess > _LINEAR * left.expected
+
+
+def lack_of_fit(task: Task, fits: Fits) -> LackOfFit:
+    """Of an ensemble of one, where it stands."""
+    r = fits.residual[0] / fits.spread[0][None, :, None]
+    chi2 = (r**2).sum(axis=2)
+    numbers = task.counts.sum()
+    fitted = task.conditions * task.mu_free + len(task.shared) + len(fits.extra[0])
+    own = task.n * task.mu_free
+    recordings = task.model.recordings
+    zeros = task.n if recordings else 0
+    expected = max(numbers - fitted - own - zeros, 1.0)
+    excess = float(chi2.sum() - expected)
+    if any(task.open_spread):
+        return LackOfFit(None, excess, float(expected), chi2)
+    if not recordings:
+        total = float(chi2.sum() + ((fits.own[0] / fits.scatter[0]) ** 2).sum())
+        freedom = max(numbers - fitted, 1.0)
+        return LackOfFit(float(scipy.stats.chi2.sf(total, freedom)), excess, float(expected), chi2)
+    there = np.stack([blocks.a > 0 for blocks in task.model.pushes.data], axis=1)
+    total, count = 0.0, 0
+    for i in range(task.n):
+        for k in (0, 1):
+            mine = r[i, k][there[i, k]]
+            for part in np.array_split(mine, BINS):
+                if len(part):
+                    total += part.sum() ** 2 / len(part)
+                    count += 1
+    freedom = max(count - fitted - own - zeros, 1)
+    return LackOfFit(float(scipy.stats.chi2.sf(total, freedom)), excess, float(expected), chi2)

@@ -1,0 +1,115 @@
+"""Where a misfit sits that no effect explains: each component in turn with a free-form curve."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.diagnosis.candidates import Scales
+from difffric.estimation import ensemble as en
+from difffric.estimation import ensemble_refits
+from difffric.estimation.ensemble import Fits, Task, subset_of
+from difffric.rig import free_form
+from difffric.rig.free_form import FORMS
+
+TYPICAL = 0.5
+"""Standard deviation that a curve's coefficients are assumed to have: not much larger than 1."""
+POINTS = 60
+_FIRST_ROUNDS, _ROUNDS = 6, 12
+_LEADERS = 2
+_DIRECTIONS = 18
+
+
+@dataclass(frozen=True)
+class Location:
+    """The component that explains a misfit best, and its free-form correction."""
+
+    component: str
+    form: str
+    quantity: str
+    """what the curve is over"""
+    unit: str
+    x: NDArray
+    correction: NDArray
+    """relative"""
+    standard_error: NDArray
+    explained: dict[str, float]
+    """form -> share of the excess of chi-square that it explains"""
+    penalised_drop: float
+    """of -2 log likelihood, less what so many numbers would buy in any case"""
+
+    def as_dict(self) -> dict[str, Any]:
+        """As `result.json` holds it."""
+        return {
+            "over": self.quantity,
+            "unit": self.unit,
+            "x": self.x.tolist(),
+            "relative_correction": self.correction.tolist(),
+            "standard_error": self.standard_error.tolist(),
+            "explained": self.explained,
+        }
+
+
+def with_forms(task: Task, scales: Scales) -> Task:
+    """The task with all free forms, whose coefficients are assumed to be small."""
+    model = task.model
+    coordinates = model.coordinates.with_forms()
+    rig = free_form.free_rig(model.rig, scales)
+    prior = np.zeros(len(coordinates.names))
+    prior[len(model.coordinates.names) :] = TYPICAL**-2
+    return replace(
+        task,
+        model=replace(model, coordinates=coordinates, rig=rig, directions=_DIRECTIONS),
+        prior=prior,
+    )
+
+
+def locate(task: Task, plain: Fits, scales: Scales, excess: float) -> Location:
+    """The location of what a plain fit (an ensemble of one) leaves unexplained."""
+    wide = with_forms(task, scales)
+    coordinates = wide.model.coordinates
+    extra = []
+    for name, form in FORMS.items():
+        beside = [x for x in form.beside if x in coordinates.names]
+        own = coordinates.indices((*free_form.names(name), *beside))
+        extra.append((*plain.extra[0], *(i for i in own if i not in plain.extra[0])))
+    start = plain.pick(np.zeros(len(extra), int))
+    c = np.zeros((len(extra), len(coordinates.names)))
+    c[:, : start.c.shape[1]] = start.c
+    at = replace(start, extra=tuple(extra), c=c, gram=None, residual=None, damping=None)
+    price = np.array([len(x) - len(plain.extra[0]) for x in extra]) * task.price
+    # All forms to some of the pushes; those that lead, to all.
+    some = subset_of(task) if task.model.recordings else np.arange(task.n)
+    first = ensemble_refits.refitted(wide, at, _FIRST_ROUNDS, some)
+    share = task.counts[some].sum() / task.counts.sum()
+    explained = en.penalised(task, plain, some)[0] - en.penalised(wide, first, some)
+    leaders = np.argsort(share * price - explained)[:_LEADERS]
+    explained = np.clip(explained / max(share * excess, 1.0), 0, 1)
+    own = plain.own[np.zeros(len(leaders), int)]
+    own[:, some] = first.own[leaders][:, some]
+    at = replace(first.pick(leaders), own=own, gram=None, residual=None, damping=None)
+    at = ensemble_refits.refitted(wide, at, _ROUNDS)
+    drop = float(en.criterion(task, plain)[0]) - en.criterion(wide, at)
+    explained[leaders] = np.clip(drop / max(excess, 1.0), 0, 1)
+    best = int(np.argmax(drop - price[leaders]))
+    return _told(
+        wide, at.pick([best]), list(FORMS)[leaders[best]], scales,
+        dict(zip(FORMS, explained.tolist(), strict=True)), float((drop - price[leaders])[best]),
+    )  # fmt: skip
+
+
+def _told(task: Task, at: Fits, name: str, scales: Scales, explained, drop) -> Location:
+    form = FORMS[name]
+    x = np.linspace(0.0, form.over(scales)[0], POINTS)
+    B = free_form.basis(name, scales, x)
+    index = task.model.coordinates.indices(free_form.names(name))
+    columns = [*task.shared, *at.extra[0]]
+    mine = task.conditions + np.array([columns.index(i) for i in index])
+    C = en.covariance(task, at)[0][np.ix_(mine, mine)]
+    return Location(
+        form.component, name, form.quantity, form.unit, x, B @ at.c[0, index],
+        np.sqrt(np.einsum("ij,jk,ik->i", B, C, B)), explained, drop,
+    )  # fmt: skip

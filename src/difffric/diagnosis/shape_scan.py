@@ -1,0 +1,134 @@
+"""Where to start with effects that have a shape: a wavelength and a phase, or a place.
+
+Their amplitude has an exact derivative at the null for each shape: a score test a shape, at the
+cost of one evaluation, tells how much it would explain and with which amplitude and phase. A long
+push tells wavelengths apart that are close together, and has many of them: the search begins with
+pushes that do not reach far, and goes on with all between the best of those.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.diagnosis.candidates import Scales
+from difffric.estimation import ensemble as en
+from difffric.estimation import ensemble_refits
+from difffric.estimation.ensemble import Fits, Task
+
+SHAPED = {
+    "friction_waviness": ("wavelength_m", "phase_rad"),
+    "pusher_ripple": ("period_m", "phase_rad"),
+    "friction_patch": ("start_m", None),
+}
+"""id -> keys of its shape and of its phase"""
+SHORTEST = 2e-4
+"""wavelength [m] that is looked for"""
+MOST = 50
+"""Shapes in the first pass."""
+_AMPLITUDE = 1e-3
+"""Coordinate of the sine where derivatives are taken: at the null the cosine has none."""
+_LARGEST = 0.7
+_PEAKS, _BINS, _STARTS = 3, 6, 4
+_FIRST = slice(1, 4)
+"""Of the pushes by how far they reach, those that begin: not the slowest, which take longest."""
+_WAYS = 2.0
+"""A wave is no longer than so many of the longest ways."""
+_PLACES = 14
+"""Places within the shortest way, and again as many beyond it."""
+
+
+def shape_starts(
+    task: Task, base: Fits, effect: str, scales: Scales, some: NDArray, far: bool
+) -> Fits:
+    """Starts of a search for one effect on top of `base` (an ensemble of one).
+
+    `some`: numbers of the pushes that a scan looks at. Unless `far` the rest of the model is where
+    it would be beside the effect, to first order.
+    """
+    key, phase = SHAPED[effect]
+    names = [f"{effect}.amplitude", f"{effect}.{key}"]
+    names += [] if phase is None else [f"{effect}.{phase}"]
+    index = [task.model.coordinates.index(x) for x in names]
+    way = scales.ways if effect != "pusher_ripple" else np.full(task.n, scales.travel)
+    if phase is None:
+        low, high = np.min(way), np.max(way)
+        shapes = np.linspace(0.04, 1.0, _PLACES) * low
+        shapes = np.append(shapes, np.linspace(low, high, _PLACES)[1:-1])
+        drop, starts = _scores(task, base, index, shapes, some, far)
+        return starts.pick(_peaks(drop)[:_STARTS])
+    near = some[np.argsort(way[some], kind="stable")]
+    if task.model.recordings and len(near) > _FIRST.stop:  # of a table each push says little
+        near = near[_FIRST] if far else near[_FIRST.start : 2 * _FIRST.stop]
+    short, long = np.max(way[near]), np.max(way[some])
+    step = 1.0 / (3.0 * short)
+    last = min(1.0 / SHORTEST, 0.5 / short + MOST * step)
+    turns = np.arange(0.5 / short, last + step, step)
+    drop, _ = _scores(task, base, index, 1.0 / turns, near, far)
+    fine = 1.0 / (6.0 * long)
+    spread = np.arange(-0.5 * step, 0.5 * step + 1e-9, fine)
+    # A small wave's peak may lie on the side of another's.
+    first = _peaks(drop)[:_PEAKS] if far else np.argsort(-drop)[:_BINS]
+    between = (turns[first, None] + spread).ravel()
+    drop, starts = _scores(task, base, index, 1.0 / between[between > 0], some, far)
+    return starts.pick(_peaks(drop)[:_STARTS])
+
+
+def within_the_way(task: Task, c: NDArray, effect: str, scales: Scales) -> bool:
+    """Whether coordinates c show a good part of a wave, which else is anything that bends; of an
+    effect that does not wave, true."""
+    if effect not in SHAPED or SHAPED[effect][1] is None:
+        return True
+    name = f"{effect}.{SHAPED[effect][0]}"
+    return task.model.coordinates.values(c, [name])[0] < _WAYS * float(np.max(scales.ways))
+
+
+def _peaks(values: NDArray) -> NDArray:
+    """Indices of local maxima, the largest first."""
+    padded = np.concatenate([[-np.inf], values, [-np.inf]])
+    top = np.flatnonzero((values >= padded[:-2]) & (values > padded[2:]))
+    return top[np.argsort(-values[top])]
+
+
+def _scores(task: Task, base: Fits, index: Sequence[int], shapes, pushes, far: bool) -> tuple:
+    """(predicted drop (m,), fits there with the amplitude and phase that are predicted)."""
+    coordinates, m = task.model.coordinates, len(shapes)
+    amplitude, shape = index[:2]
+    free = [amplitude, *index[2:]]
+    unit = coordinates.unit[shape]
+    at = np.zeros((m, len(index)))
+    at[:, 0] = _AMPLITUDE if len(index) > 2 else 0.0
+    at[:, 1] = (shapes - coordinates.null[shape]) / unit
+    c = np.repeat(base.c, m, axis=0)
+    c[:, index] = at
+    whole = base.pick(np.zeros(m, int))
+    fits = replace(whole, extra=((*base.extra[0], *free),) * m, c=c, gram=None, residual=None)
+    fits = en.evaluated(task, replace(fits, damping=None), pushes)
+    found = en.normal(task, fits)
+    known = found.H.shape[1] - len(free)
+    drop = np.zeros(m)
+    for j in range(m):
+        H, g = found.H[j], found.g[j]
+        scale = np.sqrt(np.maximum(np.diag(H), 1e-12))
+        A, r = H / np.outer(scale, scale), g / scale
+        solve = np.linalg.pinv(A[:known, :known], rcond=1e-12)
+        X = A[:known, known:]
+        S = A[known:, known:] - X.T @ solve @ X
+        left = r[known:] - X.T @ solve @ r[:known]
+        step = -np.linalg.lstsq(S, left, rcond=1e-6)[0]
+        drop[j] = -step @ left
+        step = step / scale[known:]
+        at[j, [0, *range(2, len(index))]] += step
+    size = np.abs(at[:, 0]) if len(index) == 2 else np.hypot(at[:, 0], at[:, 2])
+    shrink = np.minimum(1.0, _LARGEST / coordinates.unit[amplitude] / np.maximum(size, 1e-12))
+    at[:, [0, *range(2, len(index))]] *= shrink[:, None]
+    if far:
+        c = c.copy()
+        c[:, index] = at
+        new = replace(fits, c=c, gram=None, residual=None)
+    else:
+        new = ensemble_refits.moved(task, fits, 0.0)
+    return drop, replace(new, extra=((*base.extra[0], *index),) * m, residual=None)

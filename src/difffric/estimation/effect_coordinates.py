@@ -1,0 +1,190 @@
+"""How a vector of numbers stands for an extended rig."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.rig import catalogue, free_form, parameters
+from difffric.rig.catalogue import CATALOGUE, KEYS
+from difffric.rig.rig import Rig
+
+PLAIN = ("mu_s", "mu_k_over_mu_s", "k_v_N_s_per_m", "k_N_per_m", "b_N_s_per_m")
+"""Coordinates of the plain model: logarithms, and k_v in units of `K_V`."""
+K_V = 10.0
+WAVES = {
+    f"{e.id}.amplitude": f"{e.id}.phase_rad" for e in CATALOGUE.values() if "phase_rad" in e.nulls()
+}
+"""Amplitude -> phase of an effect that waves. Their coordinates are those of its sine and cosine,
+in which a model is nearly linear; a phase is not, beside a small amplitude."""
+FORMED = tuple(name for form in free_form.FORMS for name in free_form.names(form))
+"""Coefficients of the free forms, which are coordinates themselves."""
+_HUGE = 1e6
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """How a vector c of numbers stands for an extended rig. Effects' coordinates are 0 at the
+    null and of order 1 at a size that one may meet."""
+
+    names: tuple[str, ...]
+    null: tuple[float, ...]
+    unit: tuple[float, ...]
+
+    @classmethod
+    def of(cls, rig: Rig) -> Coordinates:
+        """Of the plain parameters and of all effects' numbers that the rig has."""
+        extra = catalogue.parameter_names(rig)
+        keys = [KEYS[name][1] for name in extra]
+        null = {n: _finite(key.to_law(key.null)) for n, key in zip(extra, keys, strict=True)}
+        size = {n: abs(KEYS[n][1].to_law(KEYS[n][1].typical) - null[n]) or 1.0 for n in extra}
+        for amplitude, phase in WAVES.items():
+            if amplitude in size:
+                size[phase] = size[amplitude]
+        return cls(
+            (*PLAIN, *extra),
+            (0.0,) * len(PLAIN) + tuple(null.values()),
+            (1.0, 1.0, K_V, 1.0, 1.0, *size.values()),
+        )
+
+    def index(self, name: str) -> int:
+        """Where a name stands."""
+        return self.names.index(name)
+
+    def indices(self, names: Sequence[str]) -> list[int]:
+        """Where names stand."""
+        return [self.names.index(name) for name in names]
+
+    def point(self, values: Mapping[str, Any]) -> list[float]:
+        """The coordinates of these values [SI, as files write them]; of what waves, amplitude and
+        phase together."""
+        out = {}
+        for name, value in values.items():
+            i = self.index(name)
+            if name == "k_v_N_s_per_m":
+                out[name] = value / K_V
+            elif name in PLAIN:
+                out[name] = float(np.log(max(value, 1e-12)))
+            else:
+                number = _finite(KEYS[name][1].to_law(value))
+                out[name] = float((number - self.null[i]) / self.unit[i])
+        for amplitude, phase in WAVES.items():
+            if amplitude in out:
+                size, turn = out[amplitude], values[phase]
+                out[amplitude], out[phase] = size * np.cos(turn), size * np.sin(turn)
+        return list(out.values())
+
+    def values(self, c: NDArray, names: Sequence[str]) -> list[float]:
+        """The values [SI, as files write them] of some names at c."""
+        return self._values(c, names)[0].tolist()
+
+    def errors(self, c: NDArray, names: Sequence[str], free: Sequence[int], covariance) -> list:
+        """Standard errors of the values of some names, from the covariance of the free
+        coordinates (which may have further columns behind them)."""
+        J = self._values(c, names)[1][:, list(free)]
+        covariance = covariance[: len(free), : len(free)]
+        variance = np.einsum("ij,jk,ik->i", J, covariance, J)
+        # Below zero by rounding, where the data say nothing: no number.
+        return np.sqrt(np.where(variance >= 0, variance, np.nan)).tolist()
+
+    def _values(self, c, names):
+        """(values, their derivatives by all coordinates)."""
+        c = np.asarray(c, float)
+        value, slope = np.zeros(len(names)), np.zeros((len(names), len(self.names)))
+        phases = {phase: amplitude for amplitude, phase in WAVES.items()}
+        for row, name in enumerate(names):
+            i = self.index(name)
+            number = self.null[i] + self.unit[i] * c[i]
+            if name == "k_v_N_s_per_m":
+                value[row], slope[row, i] = K_V * c[i], K_V
+            elif name in PLAIN:
+                value[row] = slope[row, i] = np.exp(c[i])
+            elif name in WAVES or name in phases:
+                amplitude = name if name in WAVES else phases[name]
+                a, b = self.indices((amplitude, WAVES[amplitude]))
+                size, unit = max(np.hypot(c[a], c[b]), 1e-12), self.unit[a]
+                if name in WAVES:
+                    value[row] = unit * size
+                    slope[row, a], slope[row, b] = unit * c[a] / size, unit * c[b] / size
+                else:
+                    value[row] = np.arctan2(c[b], c[a])
+                    slope[row, a], slope[row, b] = -c[b] / size**2, c[a] / size**2
+            else:
+                key = KEYS[name][1]
+                value[row] = key.to_law(float(number))
+                inverse = key.inverse and number
+                slope[row, i] = -self.unit[i] / number**2 if inverse else self.unit[i]
+        return value, slope
+
+    def bounds(self, name: str) -> tuple[float, float]:
+        """Between which coordinates a number makes sense."""
+        if name == "k_v_N_s_per_m":
+            return 0.0, np.inf
+        if name == "mu_k_over_mu_s":
+            return -np.inf, 0.0
+        if name in PLAIN or name in FORMED:
+            return -np.inf, np.inf
+        name = next((a for a, phase in WAVES.items() if phase == name), name)
+        key = KEYS[name][1]
+        if key.inverse:
+            return 0.0, np.inf
+        i = self.index(name)
+        ends = [(x - self.null[i]) / self.unit[i] for x in (key.lower, key.upper)]
+        return min(ends), max(ends)
+
+    def rig(self, rig: Rig, c) -> Rig:
+        """The rig at coordinates c; traceable."""
+        numbers: dict[str, Any] = {}
+        known = [name for name in self.names if name in PLAIN or name in KEYS]
+        for i, name in enumerate(known):
+            if name == "k_v_N_s_per_m":
+                numbers[name] = K_V * c[i]
+            elif name in PLAIN:
+                numbers[name] = jnp.exp(c[i])
+            else:
+                numbers[name] = self.null[i] + self.unit[i] * c[i]
+        for amplitude, phase in WAVES.items():
+            if amplitude in numbers:
+                numbers |= dict(
+                    zip((amplitude, phase), _polar(numbers[amplitude], numbers[phase]), strict=True)
+                )
+        at = parameters.with_values(rig, {n: numbers[n] for n in PLAIN})
+        at = catalogue.with_numbers(at, {n: numbers[n] for n in known[len(PLAIN) :]})
+        if len(known) == len(self.names):
+            return at
+        shape = len(free_form.FORMS), free_form.SPLINES
+        rows = c[len(known) :].reshape(shape)
+        return free_form.with_coefficients(at, dict(zip(free_form.FORMS, rows, strict=True)))
+
+    def without(self, effect: str) -> Coordinates:
+        """Without those of an effect's numbers."""
+        keep = [k for k, name in enumerate(self.names) if name.partition(".")[0] != effect]
+
+        def of(column):
+            return tuple(column[k] for k in keep)
+
+        return Coordinates(of(self.names), of(self.null), of(self.unit))
+
+    def with_forms(self) -> Coordinates:
+        """With the coefficients of all free forms behind them."""
+        none = (0.0,) * len(FORMED)
+        return Coordinates((*self.names, *FORMED), (*self.null, *none), (*self.unit, *none))
+
+
+def _polar(sine, cosine):
+    """(amplitude, phase) of `sine sin + cosine cos`; at nothing, where neither has a derivative,
+    zeros whose derivatives are zeros."""
+    nothing = (sine == 0) & (cosine == 0)
+    safe = jnp.where(nothing, 1.0, sine)
+    amplitude = jnp.where(nothing, 0.0, jnp.sqrt(safe**2 + cosine**2))
+    return amplitude, jnp.where(nothing, 0.0, jnp.arctan2(cosine, safe))
+
+
+def _finite(x: float) -> float:
+    """A level that nothing reaches, where the null is none."""
+    return float(np.clip(x, -_HUGE, _HUGE))

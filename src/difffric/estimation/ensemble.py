@@ -1,0 +1,357 @@
+"""Many fits of one data set at once: each has effects of its own, all share the compiled program.
+
+A fit moves the plain parameters, a mu_s of each condition and of each push (which scatters about
+it), and the numbers of its effects. Its answers come as Gram matrices, so that everything else is
+small linear algebra, done for all fits together: here the normal equations, the scatter by
+restricted maximum likelihood, spreads that are not known; `refits` moves the fits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.estimation.extended_model import ExtendedModel
+
+_SCATTERS = np.geomspace(1e-6, 0.3, 40)
+"""Relative scatters of mu_s that are looked at."""
+REJECTED = 1e12
+"""The square of a residual where a push could not be followed."""
+SUBSET = 6
+"""Pushes that a scan looks at: enough speeds to tell effects apart, at a fraction of the cost."""
+_LEAST_DIAGONAL = 1e-9
+_RIDGE = 1e-13
+
+
+@dataclass(frozen=True)
+class Task:
+    """A data set, the parameters that are free in every fit, and what is known of the noise."""
+
+    model: ExtendedModel
+    shared: tuple[int, ...]
+    """coordinates free in every fit, mu_s not among them"""
+    condition: NDArray
+    """(n,) number of each push's condition"""
+    mu_free: bool = True
+    """whether mu_s is free; else it is what a gauge says of each push"""
+    estimate_scatter: bool = True
+    """whether mu_s scatters by as much as the data say, or by as much as the fits have"""
+    open_spread: tuple[bool, bool] = (False, False)
+    """whether the noise of force and of distance is to be estimated"""
+    prior: Any = None
+    """(K,) precision about zero of coordinates whose smallness is assumed; None: nothing is"""
+    counts: NDArray = field(default_factory=lambda: np.ones((1, 2)))
+    """(n, 2) numbers (samples, or measurements) of each push and channel"""
+
+    @property
+    def n(self) -> int:
+        """Pushes."""
+        return len(self.condition)
+
+    @property
+    def price(self) -> float:
+        """What one number must buy in -2 log likelihood (Schwarz's criterion)."""
+        return float(np.log(max(self.counts.sum(), 2.0)))
+
+    @property
+    def conditions(self) -> int:
+        """How many there are."""
+        return int(self.condition.max()) + 1
+
+
+@dataclass(frozen=True)
+class Fits:
+    """m fits where they stand; `extra[j]` are the coordinates that are free in fit j alone."""
+
+    extra: tuple[tuple[int, ...], ...]
+    c: NDArray
+    """(m, K) coordinates; that of mu_s is not used"""
+    mu: NDArray
+    """(m, conditions) log mu_s"""
+    own: NDArray
+    """(m, n) log mu_s of each push beyond its condition's"""
+    scatter: NDArray
+    """(m,)"""
+    spread: NDArray
+    """(m, 2) factor of the noise of each channel"""
+    gram: Any = None
+    """(m, n, 2, D + 1, D + 1) of the answers there"""
+    residual: Any = None
+    """(m, n, 2, blocks) whitened"""
+    damping: Any = None
+    """(m,) Levenberg and Marquardt's"""
+
+    @property
+    def m(self) -> int:
+        """How many fits."""
+        return len(self.c)
+
+    def pick(self, which) -> Fits:
+        """Some of them."""
+        which = np.atleast_1d(np.asarray(which, int))
+
+        def of(x):
+            return None if x is None else x[which]
+
+        return Fits(
+            tuple(self.extra[j] for j in which), self.c[which], self.mu[which], self.own[which],
+            self.scatter[which], self.spread[which], of(self.gram), of(self.residual),
+            of(self.damping),
+        )  # fmt: skip
+
+
+def together(*parts: Fits) -> Fits:
+    """Several ensembles of the same pushes as one; their answers, if all have them."""
+
+    def of(name) -> Any:
+        columns = [getattr(p, name) for p in parts]
+        if any(x is None for x in columns):
+            return None
+        if name == "gram":
+            size = max(x.shape[-1] for x in columns)
+            columns = [widened(x, size) for x in columns]
+        return np.concatenate(columns)
+
+    names = ("c", "mu", "own", "scatter", "spread", "gram", "residual", "damping")
+    return Fits(sum((p.extra for p in parts), ()), *(of(name) for name in names))
+
+
+def subset_of(task: Task, most: int = SUBSET) -> NDArray:
+    """Pushes over all speeds and conditions for a scan."""
+    v = np.asarray(task.model.pushes.velocity)
+    if task.n <= most:
+        return np.arange(task.n)
+    order = np.lexsort((np.arange(task.n), v))
+    chosen = set(order[np.linspace(0, task.n - 1, most).round().astype(int)].tolist())
+    for k in range(task.conditions):  # one of each condition at least
+        if not chosen & set(np.flatnonzero(task.condition == k).tolist()):
+            chosen.add(int(np.flatnonzero(task.condition == k)[0]))
+    return np.array(sorted(chosen))
+
+
+def widened(gram, size):
+    """With empty columns before the residual's."""
+    missing = size - gram.shape[-1]
+    if not missing:
+        return gram
+    out = np.zeros((*gram.shape[:-2], size, size))
+    keep = [*range(gram.shape[-1] - 1), size - 1]
+    out[(..., *np.ix_(keep, keep))] = gram
+    return out
+
+
+def directions(task: Task, fits: Fits) -> NDArray:
+    """(m, D, K): mu_s, the shared parameters, each fit's own; padded with nothing."""
+    K, base = fits.c.shape[1], [0, *task.shared]
+    D = len(base) + max((len(x) for x in fits.extra), default=0)
+    out = np.zeros((fits.m, D, K))
+    for j, extra in enumerate(fits.extra):
+        for row, i in enumerate([*base, *extra]):
+            out[j, row, i] = float(row > 0 or task.mu_free)
+    return out
+
+
+def evaluated(task: Task, fits: Fits, pushes: NDArray | None = None) -> Fits:
+    """The fits with their answers where they stand, of all pushes or of some (the others' stay,
+    or are nothing)."""
+    which = np.arange(task.n) if pushes is None else np.asarray(pushes)
+    c = np.repeat(fits.c[:, None], len(which), axis=1)
+    c[:, :, 0] = fits.mu[:, task.condition[which]] + fits.own[:, which]
+    rows = directions(task, fits)
+    index = np.tile(which, fits.m)
+    found = task.model.answers(
+        index, c.reshape(-1, c.shape[2]), np.repeat(rows, len(which), axis=0)
+    )
+    shape = (fits.m, len(which))
+    gram = found.gram.reshape(*shape, *found.gram.shape[1:])
+    bad = ~np.isfinite(gram).all(axis=(2, 3, 4))
+    gram = np.where(bad[:, :, None, None, None], 0.0, gram)
+    gram[..., -1, -1] += np.where(bad, REJECTED, 0.0)[:, :, None]
+    residual = found.residual.reshape(*shape, *found.residual.shape[1:])
+    if len(which) < task.n:
+        gram, residual = (_placed(x, which, task.n) for x in (gram, residual))
+    return replace(fits, gram=gram, residual=residual)
+
+
+def _placed(x, which, n):
+    out = np.zeros((x.shape[0], n, *x.shape[2:]))
+    out[:, which] = x
+    return out
+
+
+@dataclass(frozen=True)
+class Normal:
+    """The normal equations of m fits with each push's own mu_s eliminated."""
+
+    H: NDArray
+    """(m, P, P)"""
+    g: NDArray
+    """(m, P)"""
+    cost: NDArray
+    """(m,) the sum of squares at the own mu_s that are best where the shared stand still"""
+    z: NDArray
+    """(m, n) information on each push's own log mu_s"""
+    h: NDArray
+    """(m, n, P)"""
+    gm: NDArray
+    """(m, n)"""
+
+
+def parts_of(task: Task, fits: Fits):
+    """Blocks by push at own mu_s = 0: (H_i, h_i, z_i, g_i, gm_i, rr_i)."""
+    G = np.einsum("mnkij,mk->mnij", fits.gram, 1.0 / fits.spread**2)
+    n, size = G.shape[1:3]
+    D, C = size - 1, task.conditions
+    P = C + D - 1
+    S = np.zeros((n, D, P))
+    S[np.arange(n), 0, task.condition] = 1.0
+    S[:, np.arange(1, D), C + np.arange(D - 1)] = 1.0
+    H = np.einsum("nap,mnab,nbq->mnpq", S, G[:, :, :D, :D], S, optimize=True)
+    h = np.einsum("nap,mna->mnp", S, G[:, :, :D, 0])
+    z = G[:, :, 0, 0]
+    e = fits.own
+    g = np.einsum("nap,mna->mnp", S, G[:, :, :D, -1]) - h * e[:, :, None]
+    gm = G[:, :, 0, -1] - z * e
+    rr = G[:, :, -1, -1] - 2 * e * G[:, :, 0, -1] + z * e**2
+    return H, h, z, g, gm, rr
+
+
+def normal(task: Task, fits: Fits, scatter=None, parts=None) -> Normal:
+    """The normal equations for a scatter (m,)."""
+    H, h, z, g, gm, rr = parts_of(task, fits) if parts is None else parts
+    s = fits.scatter if scatter is None else scatter
+    weight = 1.0 / (z + 1.0 / s[:, None] ** 2)
+    precision, at = _prior(task, fits, H.shape[-1])
+    assumed = precision[:, :, None] * np.eye(H.shape[-1])
+    return Normal(
+        H=(H - np.einsum("mnp,mnq,mn->mnpq", h, h, weight)).sum(axis=1) + assumed,
+        g=(g - h * (gm * weight)[:, :, None]).sum(axis=1) + precision * at,
+        cost=(rr - gm**2 * weight).sum(axis=1) + (precision * at**2).sum(axis=1),
+        z=z,
+        h=h,
+        gm=gm,
+    )
+
+
+def _prior(task: Task, fits: Fits, P: int) -> tuple[NDArray, NDArray]:
+    """(m, P) precision and values of what is assumed to be small."""
+    precision, at = np.zeros((2, fits.m, P))
+    if task.prior is not None:
+        for j, extra in enumerate(fits.extra):
+            mine = task.conditions + len(task.shared) + np.arange(len(extra))
+            precision[j, mine], at[j, mine] = task.prior[list(extra)], fits.c[j, list(extra)]
+    return precision, at
+
+
+def _scaled(H: NDArray) -> tuple[NDArray, NDArray]:
+    """(m, P, P) with a unit diagonal, apart from any others where nothing depends on a parameter;
+    and the (m, P) roots of the diagonal."""
+    diagonal = np.einsum("mpp->mp", H)
+    scale = np.sqrt(np.maximum(diagonal, _LEAST_DIAGONAL))
+    there = diagonal > _LEAST_DIAGONAL
+    A = H / (scale[:, :, None] * scale[:, None, :])
+    unit = np.eye(H.shape[1])
+    return np.where(there[:, :, None] & there[:, None, :], A, unit) + _RIDGE * unit, scale
+
+
+def solve(H: NDArray, g: NDArray, damping=0.0) -> NDArray:
+    """(m, P) steps; a parameter that nothing depends on stays."""
+    A, scale = _scaled(H)
+    lam = np.broadcast_to(np.asarray(damping, float), (len(H),))
+    A = A + lam[:, None, None] * np.eye(A.shape[1])
+    there = np.einsum("mpp->mp", H) > _LEAST_DIAGONAL
+    g = np.where(there, g, 0.0)
+    return -np.linalg.solve(A, (g / scale)[:, :, None])[:, :, 0] / scale
+
+
+def criterion(task: Task, fits: Fits) -> NDArray:
+    """(m,) -2 times the log likelihood where the fits stand, their own mu_s averaged over: sum of
+    squares, and what the scatter and the spreads that were estimated cost."""
+    found = normal(task, fits)
+    return settled_cost(task, fits, found) + _volume(task, fits, found.z)
+
+
+def settled_cost(task: Task, fits: Fits, found: Normal | None = None) -> NDArray:
+    """(m,) the sum of squares, each push's own mu_s brought to what is best there: as far as a
+    linear prediction is to be trusted, which is no more than a standard deviation."""
+    found = normal(task, fits) if found is None else found
+    weight = found.z + 1.0 / fits.scatter[:, None] ** 2
+    away = -found.gm / weight - fits.own
+    return penalised(task, fits) - np.minimum(away**2 * weight, 1.0).sum(axis=1)
+
+
+def _volume(task: Task, fits: Fits, z) -> NDArray:
+    spread = sum(
+        2 * task.counts[:, k].sum() * np.log(fits.spread[:, k])
+        for k in (0, 1)
+        if task.open_spread[k]
+    )
+    return np.log1p(fits.scatter[:, None] ** 2 * z).sum(axis=1) + spread
+
+
+def rescattered(task: Task, fits: Fits) -> Fits:
+    """The fits with the scatter that the restricted likelihood prefers, and the spreads that the
+    residuals show, where these are to be estimated."""
+    for k in (0, 1):
+        if task.open_spread[k]:
+            rss = np.maximum(_rss(task, fits, k), 1e-300)
+            # Each parameter takes its share of the residuals.
+            lost = (fits.gram.shape[-1] - 1) * task.counts[:, k].sum() / task.counts.sum()
+            freedom = np.maximum(task.counts[:, k].sum() - lost, 1.0)
+            spread = fits.spread.copy()
+            spread[:, k] = np.sqrt(rss / freedom)
+            fits = replace(fits, spread=spread)
+    if not (task.estimate_scatter and task.mu_free):
+        return fits
+    parts = parts_of(task, fits)
+
+    def cost(scatter):
+        # Where the shared parameters stand: where a step would lead is not to be trusted yet.
+        found = normal(task, fits, scatter, parts)
+        A, scale = _scaled(found.H)
+        volume = np.linalg.slogdet(A)[1] + 2 * np.log(scale).sum(1)
+        return found.cost + np.log1p(scatter[:, None] ** 2 * found.z).sum(axis=1) + volume
+
+    best, every = np.ones(fits.m), _SCATTERS
+    for _ in range(3):  # over all, then between the best one's neighbours
+        tried = np.array([cost(best * s) for s in every])
+        best = best * every[np.argmin(tried, axis=0)]
+        step = every[-1] / every[-2]
+        every = np.geomspace(1 / step, step, 9)
+    return replace(fits, scatter=best)
+
+
+def _rss(task: Task, fits: Fits, channel: int) -> NDArray:
+    return fits.gram[:, :, channel, -1, -1].sum(axis=1)
+
+
+def penalised(task: Task, fits: Fits, some: NDArray | None = None) -> NDArray:
+    """(m,) the sum of squares of all pushes, or of some, each push's own mu_s as it is."""
+    some = np.arange(task.n) if some is None else some
+    rss = np.einsum("mnk,mk->m", fits.gram[:, some][..., -1, -1], 1.0 / fits.spread**2)
+    if task.prior is not None:
+        rss = rss + (task.prior * fits.c**2).sum(axis=1)
+    return rss + (fits.own[:, some] ** 2).sum(axis=1) / fits.scatter**2
+
+
+def covariance(task: Task, fits: Fits) -> NDArray:
+    """(m, P, P) of mu_s, the shared parameters and each fit's own, as coordinates; zero for what is
+    at a bound, where the others' are as if it were known."""
+    H = normal(task, fits).H
+    held = _at_bound(task, fits, H.shape[1])
+    held = held[:, :, None] | held[:, None, :]
+    A, scale = _scaled(np.where(held, 0.0, H))
+    return np.where(held, 0.0, np.linalg.inv(A) / (scale[:, :, None] * scale[:, None, :]))
+
+
+def _at_bound(task: Task, fits: Fits, P: int) -> NDArray:
+    """(m, P) which columns are at a bound."""
+    coordinates, out = task.model.coordinates, np.zeros((fits.m, P), bool)
+    for j, extra in enumerate(fits.extra):
+        for k, i in enumerate([*task.shared, *extra]):
+            low, high = coordinates.bounds(coordinates.names[i])
+            out[j, task.conditions + k] = not low < fits.c[j, i] < high
+    return out

@@ -1,0 +1,295 @@
+"""The extended model beside measured pushes: every effect of the catalogue in one program.
+
+Coordinates are the plain parameters and all the effects' numbers, each effect at its null unless
+a candidate says otherwise. The program answers for many pairs of a push and its coordinates at
+once, with the Gram matrix of the whitened residuals and of their exact derivatives in a few
+directions that are chosen when it is called: a score test, a scan and a refit of any subset run
+the same compiled code.
+"""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache, partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.compute.xla_options import soon_compiled
+from difffric.estimation.blocks import Blocks
+from difffric.estimation.effect_coordinates import Coordinates
+from difffric.rig import catalogue, parameters
+from difffric.rig.rig import Rig
+from difffric.simulation.observables import marched, observe
+from difffric.simulation.stepping.integrator import RungeKutta
+from difffric.simulation.stepping.path import follow_together
+
+TABLE, SLIDES, RECORDINGS = "table", "slides", "recordings"
+PRESLIDING = "presliding"
+BRISTLES = f"{PRESLIDING}.sigma_0_N_per_m"
+BATCH = 4
+"""Pairs that one call answers for: as many as are computed abreast. All wait for the longest."""
+STEPS, BENT_STEPS = 320, 6000
+"""Steps that a push may take; with bristles, which swing until they rest."""
+TOLERANCE = 1e-7
+"""Of a step: far below what measured pushes let see."""
+
+Array = Any
+
+
+class Pushes(NamedTuple):
+    """What each push says of itself, and its samples; (n, ...) stacked."""
+
+    velocity: Array
+    mass: Array
+    stroke: Array
+    share: Array
+    """of friction's drift: 0 at the first push, 1 at the last"""
+    rest: Array
+    """before the push [s]"""
+    data: Any
+    """(force, position) of `Blocks`; or (measured (n, 2), 1 / standard error (n, 2)) of a table"""
+
+
+class Answer(NamedTuple):
+    """One pair's answer."""
+
+    gram: Array
+    """(2, D + 1, D + 1) of [J | r] of force and position, r = measured - model, whitened"""
+    model: Array
+    """(2,) F_p [N] and d [m]; NaN: there is none"""
+    residual: Array
+    """(2, m) whitened; of a table m = 1"""
+
+
+def own_rig(coordinates: Coordinates, rig: Rig, push: Pushes, c) -> Rig:
+    """The rig of one push at coordinates c."""
+    at = coordinates.rig(rig, c)
+    new = {"mass_kg": push.mass}
+    given = {"friction_drift.share": push.share, "static_dwell.rest": push.rest}
+    known = {name.partition(".")[0] for name in coordinates.names}
+    new |= {name: x for name, x in given.items() if name.partition(".")[0] in known}
+    at = parameters.with_values(at, new)
+    return parameters.with_stroke(at, push.stroke)
+
+
+def _mean(blocks: Blocks, at_instants):
+    return 0.5 * (at_instants[blocks.first] + at_instants[blocks.second])
+
+
+def _white(blocks: Blocks, r):
+    before = jnp.concatenate([jnp.zeros_like(r[:1]), r[:-1]])
+    return (blocks.a * r.T - blocks.b * before.T).T
+
+
+def _recordings(coordinates, rig, pushes: Pushes, c, directions, steps: int) -> Answer:
+    """The answers for B recorded pushes at coordinates (B, K), along directions (B, D, K)."""
+    force, position = pushes.data
+    integrator = RungeKutta(TOLERANCE)
+
+    def readings(c):
+        rigs = jax.vmap(lambda push, c: own_rig(coordinates, rig, push, c))(pushes, c)
+        v = jax.vmap(lambda rig, v: rig.pusher.speed(v))(rigs, pushes.velocity)
+        paths = follow_together(partial(integrator.marcher, blind=True), rigs, v, steps)
+        f, x = jax.vmap(lambda path, *t: path.read(*t))(paths, force.t, position.t)
+        # What could not be followed to its end is no number, and no fit goes there.
+        known = jnp.where(paths.end.lost_track | ~paths.end.over, jnp.nan, 1.0)[:, None]
+        f, x = known * f, known * x
+        seen = jax.vmap(lambda rig, v, m: marched(integrator.marcher(rig, v, True), m))
+        seen = seen(rigs, v, paths.end)
+        model = jnp.stack([seen.peak_force, seen.sliding_distance], axis=1)
+        means = jax.vmap(_mean)
+        return (means(force, f), means(position, x)), model
+
+    ((f, x), model), (by, _) = _along(readings, c, directions)
+
+    def compared(blocks: Blocks, model, by, centred):
+        A = _white(blocks, jnp.column_stack([-by.T, blocks.y - model]))
+        if centred:  # the position's zero is arbitrary
+            one = _white(blocks, jnp.ones_like(blocks.y))
+            norm = jnp.sum(one**2)
+            A = A - one[:, None] * ((one @ A) / jnp.where(norm > 0, norm, 1.0))
+        return A.T @ A, A[:, -1]
+
+    by_f, by_x = (jnp.moveaxis(a, 0, 1) for a in by)
+    G_f, r_f = jax.vmap(partial(compared, centred=False))(force, f, by_f)
+    G_x, r_x = jax.vmap(partial(compared, centred=True))(position, x, by_x)
+    return Answer(jnp.stack([G_f, G_x], 1), model, jnp.stack([r_f, r_x], 1))
+
+
+def _table(coordinates, rig, pushes: Pushes, c, directions, steps: int) -> Answer:
+    """The same for a table's F_p and d."""
+    integrator: Any = RungeKutta(TOLERANCE, most=steps)
+
+    def numbers(c):
+        def one(push, c):
+            at = own_rig(coordinates, rig, push, c)
+            seen = observe(at, push.velocity, integrator)
+            return jnp.stack([seen.peak_force, seen.sliding_distance])
+
+        return jax.vmap(one)(pushes._replace(data=None), c)
+
+    return _compared(pushes, *_along(numbers, c, directions))
+
+
+def _compared(pushes: Pushes, model, by) -> Answer:
+    """Reduced numbers (B, 2) and their derivatives (D, B, 2) beside what was measured."""
+    measured, weight = pushes.data
+    # Where the part never leaves the tip it slides no distance: d counts as 0.
+    r = weight * (measured - jnp.where(jnp.isnan(model), 0.0, model))
+    J = -weight * jnp.where(jnp.isnan(by), 0.0, by)
+    A = jnp.concatenate([jnp.moveaxis(J, 0, 2), r[:, :, None]], axis=2)
+    return Answer(A[:, :, :, None] * A[:, :, None, :], model, r[:, :, None])
+
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(48)
+
+
+def _slides(coordinates, rig, pushes: Pushes, c, directions, steps: int) -> Answer:
+    """The same for the distances of free slides, `velocity` being that at release."""
+
+    def slid(push, c):
+        at = own_rig(coordinates, rig, push, c)
+        # d = integral of u du / (F(u) / m) from 0 to v, in s with u = v s^2: fine at low speed.
+        s = jnp.asarray(0.5 * (_NODES + 1))
+        u = push.velocity * s**2
+        slowing = -jax.vmap(at.free)(u)
+        d = jnp.sum(0.5 * jnp.asarray(_WEIGHTS) * 2 * push.velocity * s * u / slowing)
+        return jnp.stack([0.0 * d, d])
+
+    def numbers(c):
+        return jax.vmap(slid)(pushes._replace(data=None), c)
+
+    return _compared(pushes, *_along(numbers, c, directions))
+
+
+def _along(function, c, directions):
+    """(value, derivatives along `directions` (B, D, K), in front)."""
+    along = jax.vmap(lambda v: jax.jvp(function, (c,), (v,)), in_axes=1, out_axes=(None, 0))
+    return along(directions)
+
+
+@lru_cache(maxsize=16)
+def _compiled(coordinates: Coordinates, kind: str, steps: int, structure, shapes):
+    """The program for all data of this kind and these shapes."""
+    answer = {RECORDINGS: _recordings, TABLE: _table, SLIDES: _slides}[kind]
+
+    def program(rig, pushes, c, directions):
+        return answer(coordinates, rig, pushes, c, directions, steps)
+
+    leaves = [jnp.zeros(shape, kind) for shape, kind in shapes]
+    return soon_compiled(program).lower(*jax.tree.unflatten(structure, leaves)).compile()
+
+
+@dataclass(frozen=True)
+class ExtendedModel:
+    """Measured pushes, and a rig with all effects at their nulls, ready to be compared."""
+
+    coordinates: Coordinates
+    rig: Rig
+    """with all effects that the coordinates know, but for bristles"""
+    pushes: Pushes
+    kind: str
+    """`table`, `slides` or `recordings`"""
+    directions: int = 8
+    steps: int = STEPS
+
+    @property
+    def recordings(self) -> bool:
+        """Whether whole samples are compared."""
+        return self.kind == RECORDINGS
+
+    @cached_property
+    def _rig(self):
+        return parameters.as_arrays(self.rig)
+
+    @cached_property
+    def _bent(self) -> ExtendedModel:
+        """With bristles, which no value makes vanish: a program of its own."""
+        rig = catalogue.extended(self.rig, {PRESLIDING: {}})
+        return replace(self, rig=rig, steps=BENT_STEPS)
+
+    @cached_property
+    def _unbent(self) -> ExtendedModel:
+        """Without them."""
+        return replace(self, coordinates=self.coordinates.without(PRESLIDING))
+
+    def _rows(self, index: NDArray) -> Pushes:
+        """Some pushes; the program does not know how many there are."""
+        return jax.tree.map(lambda column: np.asarray(column)[index], self.pushes)
+
+    def _example(self):
+        K = len(self.coordinates.names)
+        return (
+            self._rig,
+            self._rows(np.zeros(BATCH, int)),
+            jnp.zeros((BATCH, K)),
+            jnp.zeros((BATCH, self.directions, K)),
+        )
+
+    @cached_property
+    def _compiled(self):
+        example = self._example()
+        shapes = tuple((x.shape, str(x.dtype)) for x in jax.tree.leaves(example))
+        structure = jax.tree.structure(example)
+        return _compiled(self.coordinates, self.kind, self.steps, structure, shapes)
+
+    @cached_property
+    def _wider(self) -> ExtendedModel:
+        """For more causes at once than one mostly meets: a program of its own."""
+        return replace(self, directions=2 * self.directions)
+
+    def compile(self) -> None:
+        """Make the program ready; may be left to another thread. That with bristles is not: few
+        searches come to it."""
+        with suppress(Exception):  # XLA has failed where two compiled at once; its use asks again
+            _ = self._unbent._compiled
+
+    def answers(self, index: NDArray, c: NDArray, directions: NDArray) -> Answer:
+        """For N pairs: pushes `index` (N,), coordinates (N, K), directions (N, D, K) or (D, K).
+        NumPy arrays come back, Gram matrices of D + 1 columns."""
+        names = self.coordinates.names
+        directions = np.broadcast_to(directions, (len(c), *np.shape(directions)[-2:]))
+        bent = c[:, names.index(BRISTLES)] > 0 if BRISTLES in names else np.zeros(len(c), bool)
+        known = self.coordinates.indices(self._unbent.coordinates.names)
+        parts = []
+        for model, at, own in ((self._unbent, ~bent, known), (self._bent, bent, slice(None))):
+            if at.any():
+                parts.append(model._answers(index[at], c[at][:, own], directions[at][..., own]))
+        back = np.argsort(np.argsort(bent, kind="stable"), kind="stable")
+        return jax.tree.map(lambda *a: np.concatenate(a)[back], *parts)
+
+    def _answers(self, index: NDArray, c: NDArray, directions: NDArray) -> Answer:
+        N, K = c.shape
+        if directions.shape[1] > self.directions:
+            return self._wider._answers(index, c, directions)
+        # A batch goes on for as long as its longest push: alike ones together.
+        order = np.lexsort((index, np.asarray(self.pushes.velocity)[index]))
+        index, c, directions = index[order], c[order], directions[order]
+        D = directions.shape[1]
+        padded = np.zeros((N, self.directions, K))
+        padded[:, :D] = directions
+        parts = [slice(lo, min(lo + BATCH, N)) for lo in range(0, N, BATCH)]
+
+        def do(part):
+            size = part.stop - part.start
+            fill = np.minimum(np.arange(BATCH), size - 1)
+            return jax.tree.map(
+                lambda a: np.asarray(a)[:size],
+                self._compiled(
+                    self._rig, self._rows(index[part][fill]), c[part][fill], padded[part][fill]
+                ),
+            )
+
+        with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+            found = list(pool.map(do, parts))
+        back = np.argsort(order)
+        whole = jax.tree.map(lambda *a: np.concatenate(a)[back], *found)
+        keep = [*range(D), self.directions]
+        return whole._replace(gram=whole.gram[:, :, keep][:, :, :, keep])

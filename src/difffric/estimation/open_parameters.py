@@ -1,0 +1,148 @@
+"""Which free parameters their covariance leaves open, and how they trade off, in words.
+
+A parameter counts as determined where its standard error is below a stated unit of its own: a
+factor e, or, for k_v, a quarter of the sliding friction at the fastest speed. Whether zero lies
+within an error bar is another matter: a k_v of 1 +- 2 N s/m moves no prediction by much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.estimation.coordinates import LINEAR
+from difffric.rig import parameters
+from difffric.rig.rig import Rig
+
+SHARE = 0.25
+"""k_v is open where one standard error of k_v v exceeds this share of the sliding friction."""
+UNSEEN = 1e4
+"""A standard error of this many units says that the data see nothing of a parameter."""
+_PART = 0.05
+"""What moves by less than this many units, for one of the first, is left out of the words."""
+
+K_V = "k_v_N_s_per_m"
+
+
+def units(rig: Rig, names: Sequence[str], fastest: float) -> NDArray:
+    """The standard error (free,), in coordinates, from which on each parameter counts as open.
+
+    1 of a logarithm; for k_v what makes `SHARE` of the friction `mu_k F_N + k_v v` at the
+    fastest speed [m/s]. `rig` holds scalars.
+    """
+    out = np.ones(len(names))
+    known = {name: float(value) for name, value in parameters.values(rig).items()}
+    if K_V in names and {"mu_s", "mu_k_over_mu_s"} <= set(known) and fastest > 0:
+        friction = known["mu_s"] * known["mu_k_over_mu_s"] * float(rig.F_N)
+        friction += known[K_V] * fastest
+        out[[name == K_V for name in names]] = SHARE * friction / fastest / LINEAR[K_V]
+    return out
+
+
+def undetermined(
+    labels: Sequence[str], names: Sequence[str], covariance: NDArray, unit: NDArray
+) -> list[dict]:
+    """The parameters that are not determined, in groups, each with its reason.
+
+    `covariance` (free, free) is that of the coordinates; a variance of 0 says that the data do
+    not depend on the parameter at all. `unit` (free,) is from `units`. A parameter is flat where
+    it would stay open with all others known; else it is traded off, and the sloppy direction
+    (an eigenvector of the covariance in these units) says against what.
+    """
+    scale = np.asarray(unit, float)
+    C = np.asarray(covariance, float) / np.outer(scale, scale)
+    error = np.sqrt(np.diag(C))
+    out = []
+    for j in np.flatnonzero(error == 0).tolist():
+        out.append(_entry([labels[j]], "flat: the data do not depend on it"))
+    seen = np.flatnonzero(error > 0).tolist()
+    left = [j for j in seen if error[j] >= 1]
+    alone = _alone(C[np.ix_(seen, seen)])
+    for j, own in zip(seen, alone, strict=True):
+        if j in left and own >= 1:
+            left.remove(j)
+            out.append(_entry([labels[j]], _flat(names[j], own, scale[j])))
+    if not left:
+        return out
+    values, vectors = np.linalg.eigh(C[np.ix_(left, left)])
+    wide = max(int((values >= 1).sum()), 1)
+    pivots, directions = _sparse(vectors[:, -wide:])
+    covered: set[int] = set()
+    for p, direction in zip(pivots, directions.T, strict=True):
+        first = left[p]
+        members = [first] + [
+            left[i]
+            for i in np.argsort(-np.abs(direction)).tolist()
+            if i != p and abs(direction[i]) * error[first] >= 1 and abs(direction[i]) > _PART
+        ]
+        # What the open ones take along, though it is determined itself.
+        along = [j for j in seen if j not in left]
+        moves = {left[i]: w for i, w in enumerate(direction.tolist())}
+        moves |= {j: float(C[j, first] / C[first, first]) for j in along}
+        covered |= set(members)
+        out.append(
+            _entry([labels[j] for j in members], _traded(first, moves, labels, names, scale))
+        )
+    for j in left:
+        if j not in covered:
+            first = left[int(np.argmax(np.abs(C[j, left]) * (np.array(left) != j)))]
+            moves = {j: 1.0, first: float(C[first, j] / C[j, j])}
+            out.append(_entry([labels[j]], _traded(j, moves, labels, names, scale)))
+    return out
+
+
+def _entry(parameters: list[str], reason: str) -> dict:
+    return {"parameters": parameters, "reason": reason}
+
+
+def _alone(C: NDArray) -> NDArray:
+    """Standard error of each with all others known: the inverse covariance's diagonal."""
+    size = np.sqrt(np.diag(C))
+    values, vectors = np.linalg.eigh(C / np.outer(size, size))
+    information = (vectors**2 / np.maximum(values, 1e-15)).sum(axis=1) / size**2
+    return 1 / np.sqrt(information)
+
+
+def _sparse(V: NDArray) -> tuple[list[int], NDArray]:
+    """The space of V's columns (left, wide) by vectors each 1 at its own pivot and 0 at the
+    others', so that what is open by itself does not mix with the rest."""
+    rest, pivots = V.copy(), []
+    for _ in range(V.shape[1]):
+        p = int(np.argmax((rest**2).sum(axis=1)))
+        pivots.append(p)
+        axis = rest[p] / np.linalg.norm(rest[p])
+        rest = rest - np.outer(rest @ axis, axis)
+    return pivots, V @ np.linalg.inv(V[pivots])
+
+
+def _flat(name: str, own: float, unit: float) -> str:
+    if own >= UNSEEN:
+        return "flat: the data do not depend on it"
+    said = "one standard error, with all others known, is"
+    if name in LINEAR:
+        return f"flat: {said} {own * unit * LINEAR[name]:.3g} N s/m"
+    return f"flat: {said} a factor of {np.exp(min(own * unit, 50.0)):.3g}"
+
+
+def _traded(first: int, moves: dict[int, float], labels, names, scale) -> str:
+    """The direction along which the data say nothing, for a small step of the first."""
+    steps = {j: w * scale[j] / scale[first] for j, w in moves.items()}
+    shown = [j for j in steps if j != first and abs(moves[j]) > _PART]
+    shown.sort(key=lambda j: -abs(moves[j]))
+    base = 1.0 / LINEAR[names[first]] if names[first] in LINEAR else 0.01
+
+    def step(j, x):
+        size = abs(x) * base
+        how = "up" if x > 0 else "down"
+        amount = (
+            f"{size * LINEAR[names[j]]:.2g} N s/m" if names[j] in LINEAR else f"{100 * size:.2g} %"
+        )
+        return f"{labels[j]} {how} {amount}"
+
+    if not shown:
+        return f"these data hardly see {step(first, 1.0)}"
+    with_ = " and ".join(step(j, steps[j]) for j in shown)
+    others = ", ".join(labels[j] for j in shown)
+    return f"traded off against {others}: these data hardly see {step(first, 1.0)} with {with_}"

@@ -1,0 +1,183 @@
+"""Measured pushes as a fit takes them: stacked and padded, each row with what is known of its
+noise. One padded shape serves many data sets with one compiled program."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.errors import InputError
+from difffric.estimation.mixed_model import PADDING
+from difffric.estimation.residuals import Grid, SlidePush, TablePush
+from difffric.estimation.traces import stacked_traces
+from difffric.measurements.pushes import Pushes
+from difffric.measurements.recordings import Recordings
+from difffric.measurements.reduction.reduce import Reduced
+from difffric.rig import parameters
+from difffric.rig.rig import Rig
+
+TABLE, SLIDES, RECORDINGS = "table", "slides", "recordings"
+
+
+@dataclass(frozen=True)
+class FitData:
+    """n pushes of one kind, with m rows of residuals each."""
+
+    kind: str
+    pushes: Any
+    """stacked, padded beyond n with copies of the first"""
+    n: int
+    weights: NDArray
+    """(n, m) 1 / standard deviation where that is known, 1 where it belongs to a group, 0 where
+    nothing was measured"""
+    group: NDArray
+    """(n, m) whose spread is to be estimated, -1: none's"""
+    groups: tuple[str, ...]
+    """`force`, `distance`"""
+    counts: NDArray
+    """(groups,) how many numbers a group has"""
+    least: NDArray
+    """(groups,) spreads below this are not looked for"""
+    samples: int
+    """how many numbers were measured in all"""
+    guess: NDArray
+    """(groups,) where the spreads start"""
+    rough: NDArray
+    """(n, m) weights for a first search, in which a model may be off by some per cent"""
+    samples_of: Any = 1.0
+    """(n,) how many numbers each push has"""
+    left_out: int = 0
+
+
+def sensor_errors(rig: Rig) -> tuple[float | None, float | None]:
+    """Standard errors of F_p [N] and d [m] that the rig's sensors alone explain.
+
+    d is the difference of two readings, each with its noise and its quantum. None where a
+    sensor's noise is not known.
+    """
+    F, probe = rig.force_sensor.noise, rig.probe
+    if probe.noise is None:
+        return F, None
+    return F, float(np.sqrt(2 * (probe.noise**2 + probe.resolution**2 / 12)))
+
+
+def padded(array, n: int):
+    """Entries of the first axis repeated up to the next multiple of `PADDING`."""
+    whole = -(-n // PADDING) * PADDING
+    index = np.concatenate([np.arange(n), np.zeros(whole - n, int)])
+    return jax.tree.map(lambda a: jnp.asarray(np.asarray(a)[index]), array)
+
+
+def strokes_of(rig: Rig, stroke: NDArray) -> tuple[Rig, NDArray]:
+    """Each push's stroke [m], infinite without one; and the rig, which then has a stroke too
+    wherever a push has one."""
+    if rig.pusher.stroke is None and np.isnan(stroke).all():
+        return rig, np.full(len(stroke), np.inf)
+    default = np.inf if rig.pusher.stroke is None else float(rig.pusher.stroke)
+    return parameters.with_stroke(rig, default), np.where(np.isnan(stroke), default, stroke)
+
+
+def table_data(rig: Rig, pushes: Pushes, noise: Sequence[float | None]) -> tuple[Rig, FitData]:
+    """A table's F_p and d. `noise` (force, distance) stands in where a push gives no standard
+    error; where it is None too, the spread is estimated with the rest."""
+    rig, strokes = strokes_of(rig, pushes.stroke)
+    measured = np.stack([pushes.peak_force, pushes.sliding_distance], axis=1)
+    given = np.stack([pushes.peak_force_se, pushes.sliding_distance_se], axis=1)
+    data = TablePush(pushes.velocity, strokes, measured)
+    return rig, _with_noise(TABLE, data, measured, given, noise, ("force", "distance"))
+
+
+def slides_data(rig: Rig, pushes: Pushes, noise: float | None) -> FitData:
+    """Free slides: d from the release speed, whose error counts through dd/dv = 2 d / v."""
+    d, v = pushes.sliding_distance, pushes.release_velocity
+    through = np.nan_to_num(2 * d / v * pushes.release_velocity_se)
+    own = np.where(
+        np.isnan(pushes.sliding_distance_se), noise or np.nan, pushes.sliding_distance_se
+    )
+    given = np.hypot(own, through)
+    data = SlidePush(v, d[:, None])
+    return _with_noise(SLIDES, data, d[:, None], given[:, None], [None], ("distance",))
+
+
+def _with_noise(kind, data, measured, given, noise, names) -> FitData:
+    n, m = measured.shape
+    present = np.isfinite(measured)
+    if not present.any():
+        raise InputError("nothing was measured: expected peak forces or sliding distances")
+    default = np.array([np.nan if x is None else x for x in noise])
+    sd = np.where(np.isnan(given), default, given)
+    open_ = present & np.isnan(sd)
+    which = [j for j in range(m) if open_[:, j].any()]
+    group = np.full((n, m), -1)
+    least, guess = [], []
+    for g, j in enumerate(which):
+        group[open_[:, j], j] = g
+        size = np.abs(measured[open_[:, j], j])
+        least.append(1e-5 * size.max())
+        guess.append(max(0.05 * np.std(size), 1e-3 * size.max()))
+    known = np.where(open_ | ~present, 1.0, np.where(np.isnan(sd), 1.0, sd))
+    rough = np.hypot(np.where(open_, 0.0, known), 0.05 * np.abs(np.where(present, measured, 1.0)))
+    floor = 0.01 * np.max(np.abs(measured), axis=0, where=present, initial=0.0)
+    rough = np.maximum(rough, np.where(open_, floor, 0.0))
+    return FitData(
+        kind=kind,
+        pushes=padded(data, n),
+        n=n,
+        weights=present / known,
+        group=group,
+        groups=tuple(names[j] for j in which),
+        counts=np.array([(group == g).sum() for g in range(len(which))], float),
+        least=np.array(least),
+        samples=int(present.sum()),
+        guess=np.array(guess),
+        rough=present / rough,
+    )
+
+
+def traces_data(
+    rig: Rig,
+    recordings: Recordings,
+    details: Sequence[Reduced],
+    fastest: float,
+    coordinates: int,
+    jumps: NDArray | None = None,
+    guard: float = 0.0,
+) -> tuple[Rig, FitData]:
+    """Whole recordings. A channel's samples come as `coordinates` + 1 rows of equal weight."""
+    rig, strokes = strokes_of(rig, np.array([r.stroke for r in recordings]))
+    made = stacked_traces(recordings, details, strokes, fastest, jumps, guard)
+    weights = np.repeat(np.where(made.counts > 0, 1.0 / made.levels, 0.0), coordinates + 1, axis=1)
+    n = len(recordings)
+    none = np.zeros(0)
+    return rig, FitData(
+        kind=RECORDINGS,
+        pushes=padded(made.pushes, n),
+        n=n,
+        weights=weights,
+        group=np.full(weights.shape, -1),
+        groups=(),
+        counts=none,
+        least=none,
+        samples=int(made.counts.sum()),
+        guess=none,
+        rough=weights,
+        samples_of=np.maximum(made.counts.sum(axis=1), 1),
+        left_out=made.left_out,
+    )
+
+
+def as_if_white(data: FitData) -> FitData:
+    """Recordings whose samples count as they are, whatever their noise's correlation."""
+
+    def plain(grid: Grid) -> Grid:
+        return grid._replace(a=jnp.where(grid.a > 0, 1.0, 0.0), b=jnp.zeros_like(grid.b))
+
+    traces = data.pushes
+    traces = traces._replace(force=plain(traces.force), position=plain(traces.position))
+    return replace(data, pushes=traces)

@@ -1,0 +1,83 @@
+"""mu_s of each recorded push from all its samples, the rig's other parameters held."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.estimation import coordinates
+from difffric.estimation.coordinates import layout
+from difffric.estimation.mixed_fit import Model, descend, first_point, moved, unstuck
+from difffric.estimation.stacked_data import traces_data
+from difffric.measurements.reduction.reduce import Reduction
+from difffric.rig import parameters
+from difffric.rig.rig import Rig
+from difffric.simulation.segments import Integrator
+
+_OPEN = 0.3
+"""Standard deviation of log mu_s that is as good as none: it moves no estimate by more than the
+share (standard error / this)^2 of its distance from the start."""
+_MASKINGS = 3
+_POOR = 2.0
+"""A reduced chi-square above this makes a search elsewhere."""
+
+
+@dataclass(frozen=True)
+class TraceFriction:
+    """What whole recordings say of mu_s, an entry a push."""
+
+    mu_s: NDArray
+    own_variance: NDArray
+    """of log mu_s, from the noise of the samples alone"""
+    by_coordinate: NDArray
+    """(n, coordinates) derivative of log mu_s by the rig's coordinates: how its calibration
+    counts"""
+    reduced_chi2: NDArray
+
+
+def trace_friction(
+    rigs_by_push: list[Rig], reduction: Reduction, guess: NDArray, integrator: Integrator
+) -> TraceFriction:
+    """Fit log mu_s of every push to its samples, from `guess` (n,), NaN: the rig's own."""
+    rig, recordings = rigs_by_push[0], reduction.recordings
+    n, every = len(recordings), coordinates.names(rig)
+    plan = layout(rig, (), (), reduction.pushes.condition, {}, {}, {})
+    values = [parameters.values(r) for r in rigs_by_push]
+    given = {name: np.array([float(v[name]) for v in values]) for name in parameters.names(rig)}
+    given["mu_s"] = np.where(np.isfinite(guess), guess, given["mu_s"])
+    mass = reduction.pushes.mass
+    given["mass_kg"] = np.where(np.isnan(mass), given["mass_kg"], mass)
+    fixed = plan.fixed.copy()
+    for name, column in given.items():
+        fixed[:, every.index(name)] = coordinates.to_coordinate(name, column)
+    plan = replace(plan, fixed=fixed)
+    fastest = float(np.sqrt(2 * given["k_N_per_m"].max() / given["mass_kg"].min()))
+    jumps, at, maskings = None, None, 1
+    while True:
+        spread, data = traces_data(rig, recordings, reduction.details, fastest, len(every), jumps)
+        model = Model(spread, integrator, plan, _OPEN, False)
+        at = at or first_point(model, data, np.zeros(0))
+        end = descend(model, data, at, at.held, data.weights, _OPEN, 1e3)
+        at = replace(moved(at, end, at.held, _OPEN), weights=data.weights)
+        samples = data.samples_of
+        chi2 = np.sum((data.weights * np.asarray(end.rows)[:n, :, -1]) ** 2, axis=1) / samples
+        if maskings == _MASKINGS:
+            break
+        if maskings == 1 and (chi2 > _POOR).any():
+            at = unstuck(model, data, at)
+        jumps, maskings = np.asarray(end.jumps)[:n], maskings + 1
+    rows = np.asarray(end.rows)[:n] * data.weights[..., None]
+    J = rows[..., :-1]
+    own = np.sum(J[..., 0] ** 2, axis=1)
+    seen = own > 0
+    across = -np.einsum("nm,nmk->nk", J[..., 0], J) / np.where(seen, own, 1.0)[:, None]
+    across[:, 0] = 0.0
+    mu = np.exp(fixed[:, 0] + at.s_eta)
+    return TraceFriction(
+        mu_s=np.where(seen, mu, np.nan),
+        own_variance=1.0 / np.where(seen, own, np.nan),
+        by_coordinate=across,
+        reduced_chi2=chi2,
+    )

@@ -1,0 +1,154 @@
+"""Data held against the rig they are said to come from: mass, unit of force, saturation."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.errors import InputError
+from difffric.measurements.pushes import Pushes
+from difffric.measurements.quantities import one_line, told
+from difffric.measurements.recordings import Channel, Recording, Recordings
+from difffric.rig.rig import Rig
+from difffric.rig.sensors import ForceSensor
+
+MASS_TOLERANCE = 0.01
+_CHANCE = 1e-6  # of taking noise for saturation
+_SHORTEST = 3  # samples
+
+Data = TypeVar("Data", Pushes, Recordings)
+
+
+def checked_data(
+    data: Data,
+    rig: Rig,
+    *,
+    use_data_mass: bool = False,
+    skip_bad: bool = False,
+    keep_saturated: bool = False,
+) -> Data:
+    """The data, forces in newtons, that can be used with the rig.
+
+    A push's mass must be within 1 % of the rig's, unless `use_data_mass`; then, as always, the
+    push's wins. A force is not to be saturated (see `saturation`), unless `keep_saturated`.
+    Recordings are read through once, by chunks; samples that are not finite are found so. With
+    `skip_bad` pushes that fail are left out and told in `.skipped`.
+
+    Raises `InputError` naming the pushes that fail, or where none is left.
+    """
+    problems: dict[int, list[str]] = {}
+    if not use_data_mass:
+        masses = data.mass if isinstance(data, Pushes) else [push.mass for push in data]
+        own = float(rig.mass)
+        for i, mass in enumerate(masses):
+            if abs(mass - own) > MASS_TOLERANCE * own:
+                problems.setdefault(i, []).append(
+                    f"mass {mass:.6g} kg, the set-up's is {own:.6g} kg: expected within 1 % "
+                    "(--use-data-mass takes the data's)"
+                )
+    if isinstance(data, Recordings):
+        data = data.in_newtons(rig.force_sensor)
+        for i, push in enumerate(data):
+            problems.setdefault(i, []).extend(_bad_samples(push, rig.force_sensor, keep_saturated))
+    lines = [f"{_place(data, i)}: {words}" for i in sorted(problems) for words in problems[i]]
+    good = [i for i in range(len(data)) if not problems.get(i)]
+    if lines and not (skip_bad and good):
+        raise InputError(told(lines))
+    return (
+        replace(data.select(good), skipped=(*data.skipped, *map(one_line, lines)))
+        if lines
+        else data
+    )
+
+
+def saturation(force: Channel, limit: float) -> float | None:
+    """The level [N] at which a force is saturated, or None.
+
+    It is where a sample reaches the sensor's `limit`, and where the extreme value stands in so
+    many consecutive samples that noise would do that once in a million recordings: three where
+    no other neighbours are equal, more where quantisation makes equal neighbours frequent.
+    """
+    seen = _Extreme()
+    for samples in force.chunks():
+        seen.add(samples)
+    if seen.level >= limit:
+        return seen.level
+    # The share of equal neighbours elsewhere is the chance that a run goes on.
+    share = min((seen.equal - seen.equal_at_level + 1) / (force.n + 1), 1 - 1e-9)
+    needed = max(_SHORTEST, 1 + math.ceil(math.log(_CHANCE) / math.log(share)))
+    return seen.level if seen.level > 0 and seen.longest >= needed else None
+
+
+@dataclass
+class _Extreme:
+    """The largest magnitude of samples that come by chunks, and how long they stay there."""
+
+    level: float = -1.0
+    longest: int = 0
+    """consecutive samples at the level, with one sign"""
+    equal: int = 0
+    """pairs of equal neighbours"""
+    equal_at_level: int = 0
+    last: float = math.nan
+    running: int = 0
+    """samples at the level up to the last one"""
+
+    def add(self, samples: NDArray) -> None:
+        if len(samples) == 0:
+            return
+        high, low = float(samples.max()), float(samples.min())
+        top = max(high, -low)
+        if top > self.level:
+            self.level, self.longest, self.equal_at_level, self.running = top, 0, 0, 0
+        same = np.concatenate([[samples[0] == self.last], samples[1:] == samples[:-1]])
+        self.equal += int(np.count_nonzero(same))
+        at = np.abs(samples) == self.level if top == self.level else np.zeros(len(samples), bool)
+        self.equal_at_level += int(np.count_nonzero(same & at))
+        if at.any() or self.running:
+            # Each position at which a run is broken; a run lasts from one to the next.
+            breaks = np.flatnonzero(~at | ~same)
+            first = int(breaks[0]) if len(breaks) else len(samples)
+            self.longest = max(self.longest, self.running + first)
+            starts = breaks[at[breaks]]
+            ends = np.append(breaks, len(samples))
+            lengths = ends[np.searchsorted(ends, starts, side="right")] - starts
+            if len(lengths):
+                self.longest = max(self.longest, int(lengths.max()))
+            if not at[-1]:
+                self.running = 0
+            elif len(breaks):
+                self.running = len(samples) - int(breaks[-1])
+            else:
+                self.running += len(samples)
+        self.last = float(samples[-1])
+
+
+def _bad_samples(push: Recording, sensor: ForceSensor, keep_saturated: bool) -> list[str]:
+    """What is wrong with the samples of a recording; all are read."""
+    problems = []
+    for channel in (push.position, push.pusher, push.force):
+        try:
+            if channel is push.force and channel is not None and not keep_saturated:
+                level = saturation(channel, float(sensor.range))
+                if level is not None:
+                    problems.append(
+                        f"force saturated at {level:.6g} N (the sensor's range is "
+                        f"{float(sensor.range):g} N): expected a force that stays below"
+                    )
+            elif channel is not None:
+                for _ in channel.chunks():
+                    pass
+        except InputError as error:
+            problems.append(str(error))
+    return problems
+
+
+def _place(data: Pushes | Recordings, i: int) -> str:
+    where = f"{data.source}: " if data.source else ""
+    if isinstance(data, Recordings) and data[i].name:
+        return f"{where}group {data[i].name!r}"
+    return f"{where}push {i + 1} of {len(data)}"

@@ -1,0 +1,186 @@
+"""Tables of measured pushes, `.csv`: read with all their problems named at once, and written.
+
+A row a push; a column a quantity, whose name carries its unit (`velocity_mm_min`). An empty cell
+was not measured.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+from decimal import Decimal
+from typing import Any
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from difffric.atomic_files import read_bytes, write_whole
+from difffric.errors import InputError
+from difffric.measurements.pushes import Pushes
+from difffric.measurements.quantities import QUANTITIES, Measured, decimal, one_line, told, unknown
+
+BY_KEY = {q.key: q for q in QUANTITIES}
+_TEN_TO = np.array([float(f"1e{n}") for n in range(23)])  # exact
+_COMMA = "is a comma meant as the decimal point? expected a decimal point, and commas between cells"
+
+
+def read_table(path: str | os.PathLike, *, skip_bad: bool = False) -> Pushes:
+    """The pushes (or free slides) of a table, SI units.
+
+    With `skip_bad` rows that cannot be used are left out and told in `Pushes.skipped`. Raises
+    `InputError` naming all that is wrong with the file, by line and column.
+    """
+    try:
+        text = read_bytes(path).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = error.object.count(b"\n", 0, error.start) + 1
+        raise InputError(f"{path}: expected text in UTF-8, line {line} is not") from None
+    header, frame, problems = _frame(text, path)
+    wrong = _column_problems(header)
+    if wrong:
+        raise InputError(told([f"{path}: {problem}" for problem in wrong]))
+    columns: dict[str, Any] = {}
+    for name in header:
+        columns[BY_KEY[name].attribute], bad = _column(frame, BY_KEY[name])
+        problems += bad
+    problems += _unsaid(frame)
+    lines = [f"{path}: line {problem}" for _, problem in sorted(problems, key=lambda p: p[0])]
+    bad_lines = {line for line, _ in problems}
+    if lines and not skip_bad:
+        raise InputError(told(lines))
+    keep = [i for i, line in enumerate(frame["line"]) if line not in bad_lines]
+    if not keep:
+        what = "no row of it can be used" if lines else "no rows below the header: expected pushes"
+        raise InputError(told([f"{path}: {what}", *lines]))
+    used: dict[str, Any] = {k: [x[i] for i in keep] for k, x in columns.items()}
+    return Pushes(**used, source=str(path), skipped=tuple(map(one_line, lines)))
+
+
+def write_table(pushes: Pushes, path: str | os.PathLike) -> None:
+    """Write a table that reads as the same pushes, to the last digit.
+
+    Columns that nobody measured are left out. The file appears whole or not at all. Raises
+    `InputError` where the format cannot say it (a condition that is more than a line, or begins
+    or ends with a space), and where the path cannot be written.
+    """
+    columns: dict[str, list[str | None]] = {}
+    for q in QUANTITIES:
+        values = getattr(pushes, q.attribute)
+        if q.range is None:
+            for text in values:
+                if text != text.strip() or not (text.isprintable() or text == ""):
+                    raise InputError(f"{path}: the condition {text!r} cannot be in a table")
+            cells = [text or None for text in values]
+        else:
+            cells = [None if math.isnan(x) else q.from_si(float(x)) for x in values]
+        if any(cell is not None for cell in cells):
+            columns[q.key] = cells
+    text = pl.DataFrame(columns, schema=dict.fromkeys(columns, pl.String)).write_csv()
+    write_whole(path, lambda file: file.write(text.encode()))
+
+
+def _frame(text: str, path) -> tuple[list[str], pl.DataFrame, list[tuple[int, str]]]:
+    """(header, cells as text with the line of each row, rows that are too long or too short)."""
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    rows: list[tuple[int, list[str]]] = []
+    line = 1
+    try:
+        for cells in reader:
+            if any(cell.strip() for cell in cells):
+                rows.append((line, [cell.strip() for cell in cells]))
+            line = reader.line_num + 1
+    except csv.Error as error:
+        raise InputError(f"{path}: line {reader.line_num}: not a table: {error}") from None
+    if not rows:
+        raise InputError(f"{path}: empty, expected a header and a row for each push")
+    head_line, header = rows.pop(0)
+    for mark, name in ((";", "semicolons"), ("\t", "tabs")):
+        if len(header) == 1 and mark in header[0]:
+            raise InputError(
+                f"{path}: line {head_line}: the columns are separated by {name}, "
+                "expected commas (and decimal points)"
+            )
+    n, problems, good = len(header), [], []
+    for line, cells in rows:
+        while len(cells) > n and not cells[-1]:  # an empty column to the right of all others
+            cells.pop()
+        if len(cells) == n:
+            good.append((line, cells))
+            continue
+        hint = f": {_COMMA}" if len(cells) > n else ""
+        problems.append((line, f"{line}: {len(cells)} cells, expected {n}{hint}"))
+    data = {str(i): [cells[i] for _, cells in good] for i in range(n)}
+    frame = pl.DataFrame(data, schema=dict.fromkeys(data, pl.String))
+    frame = frame.with_columns(pl.all().replace("", None))
+    # Names may be doubled, which a frame cannot have: that is told before they are used.
+    if len(set(header)) == n and "line" not in header:
+        frame.columns = header
+    lines = pl.Series([line for line, _ in good], dtype=pl.Int64)
+    return header, frame.with_columns(line=lines), problems
+
+
+def _column_problems(header: list[str]) -> list[str]:
+    problems = [
+        f"column {name} stands there {header.count(name)} times, expected once"
+        for name in dict.fromkeys(header)
+        if header.count(name) > 1
+    ]
+    for i, name in enumerate(header):
+        if not name:
+            problems.append(f"column {i + 1} has no name")
+        elif name not in BY_KEY:
+            problems.append(f"column {name}: {unknown(name, QUANTITIES)}")
+    slides = "release_velocity_mm_min" in header and "sliding_distance_um" in header
+    if "velocity_mm_min" not in header and not slides:
+        problems.append(
+            "column velocity_mm_min is missing (or, for free slides, release_velocity_mm_min "
+            "and sliding_distance_um)"
+        )
+    if not {"peak_force_N", "sliding_distance_um"} & set(header):
+        problems.append(
+            "column peak_force_N or sliding_distance_um is missing, expected at least one"
+        )
+    return problems
+
+
+def _column(frame: pl.DataFrame, q: Measured) -> tuple[list, list[tuple[int, str]]]:
+    """The values [SI] of a column, NaN (or "") where not measured; and the cells that are wrong."""
+    if q.range is None:
+        return frame[q.key].fill_null("").to_list(), []
+    values, problems = _plain(frame[q.key], q), []
+    values = np.where(q.range.holds(values), values, np.nan)
+    rest = frame.select("line", q.key).with_row_index().filter(np.isnan(values))
+    for i, line, cell in rest.filter(pl.col(q.key).is_not_null()).iter_rows():
+        number = decimal(cell)
+        value = math.nan if number is None else q.to_si(number)
+        if math.isfinite(value) and q.range.holds(value):
+            values[i] = value
+            continue
+        comma = f" ({_COMMA})" if number is None and decimal(cell.replace(",", ".", 1)) else ""
+        problems.append((line, f"{line}, {q.key}: {q.range.expected(value)}, got {cell!r}{comma}"))
+    return values.tolist(), problems
+
+
+def _plain(cells: pl.Series, q: Measured) -> NDArray:
+    """(n,) the values [SI] of decimals of at most 15 digits, each as by `to_si`; NaN for others.
+
+    Digits over a power of ten, both exact as floats, so that only the quotient is rounded.
+    """
+    digits = cells.str.replace(".", "", literal=True)
+    plain = cells.str.contains(r"^\d+(\.\d+)?$") & (digits.str.len_bytes() <= 15)
+    places = (cells.str.len_bytes() - 1 - cells.str.find(".", literal=True)).fill_null(0)
+    power = places.cast(pl.Int64).clip(0, 15).to_numpy() - Decimal(q.unit).adjusted()
+    value = digits.cast(pl.Float64, strict=False).to_numpy() / (_TEN_TO[power] * q.per)
+    return np.where(plain.fill_null(False).to_numpy(), value, np.nan)
+
+
+def _unsaid(frame: pl.DataFrame) -> list[tuple[int, str]]:
+    """Rows that name no speed at all."""
+    speeds = [x for x in ("velocity_mm_min", "release_velocity_mm_min") if x in frame.columns]
+    missing = frame.filter(pl.all_horizontal(pl.col(x).is_null() for x in speeds))
+    return [
+        (line, f"{line}, {speeds[0]}: empty, expected a number > 0") for line in missing["line"]
+    ]

@@ -1,0 +1,176 @@
+"""Contact laws: what the push tip does to the part. Equation (2)'s bracket stands here.
+
+z = y - x is the compression [m], w = y' - x' its rate [m/s]. A law is written as two smooth
+branches, because one smooth right-hand side a mode is what makes derivatives exact.
+The effects below are laws around a law.
+"""
+
+from __future__ import annotations
+
+import abc
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from difffric.compute.smooth_extension import power
+
+Number = Float[Array, ""] | float
+
+
+class AbstractContact(eqx.Module):
+    """A contact law: a force [N] that only pushes, zero without contact (z < 0).
+
+    To add one, subclass, give it its parameters as fields (SI units) and `approach`;
+    also `rebound` where it differs for w < 0. Both must be smooth beyond w = 0, increase
+    with z, and `rebound` must vanish at z = `edge`: that is where contact is lost. Set
+    `affine = True` only where both are affine in (z, w).
+    """
+
+    affine: ClassVar[bool] = False
+    continues: ClassVar[bool] = False
+    """whether both are smooth a little beyond z = 0, where a step may look for the event"""
+
+    @abc.abstractmethod
+    def approach(self, z: Float[Array, ""], w: Float[Array, ""]) -> Float[Array, ""]:
+        """Contact force [N] for z >= 0, w >= 0."""
+
+    def rebound(self, z: Float[Array, ""], w: Float[Array, ""]) -> Float[Array, ""]:
+        """Contact force [N] for z >= 0, w < 0."""
+        return self.approach(z, w)
+
+    def edge(self, w: Float[Array, ""]) -> Float[Array, ""]:
+        """The compression [m] at which contact is lost in a rebound at w < 0; 0 for w >= 0."""
+        return jnp.zeros_like(w)
+
+    @property
+    def gap(self):
+        """How far the tip starts from the part [m]."""
+        return 0.0
+
+    @property
+    def rough(self):
+        """Whether the law may not be smooth at z = 0, as a power is not."""
+        return jnp.asarray(True)
+
+    @property
+    def damped(self):
+        """Whether `edge` may lie beyond z = 0."""
+        return jnp.asarray(False)
+
+    def __call__(self, z, w):
+        """The whole law: both branches and the loss of contact."""
+        pushed = jnp.where(w >= 0, self.approach(z, w), self.rebound(z, w))
+        return jnp.where(z >= self.edge(w), pushed, 0.0)
+
+
+class UnilateralSpringDamper(AbstractContact):
+    """`b max(y' - x', 0) + k max(y - x, 0)` of equation (2), in contact only: the damper
+    acts on approach, the spring on compression, and the contact never pulls.
+    """
+
+    k: Number
+    b: Number
+    affine: ClassVar[bool] = True
+    continues: ClassVar[bool] = True
+
+    def approach(self, z, w):
+        return self.b * w + self.k * z
+
+    def rebound(self, z, w):
+        return self.k * z
+
+    @property
+    def rough(self):
+        return jnp.asarray(False)
+
+
+class ContactEffect(AbstractContact):
+    """A law around another one, `law`; what an effect does not override is that law's own."""
+
+    law: Any
+
+    @property
+    def continues(self) -> bool:  # type: ignore[override]
+        return self.law.continues
+
+    def approach(self, z, w):
+        return self.law.approach(z, w)
+
+    def rebound(self, z, w):
+        return self.law.rebound(z, w)
+
+    def edge(self, w):
+        return self.law.edge(w)
+
+    @property
+    def gap(self):
+        return self.law.gap
+
+    @property
+    def rough(self):
+        return self.law.rough
+
+    @property
+    def damped(self):
+        return self.law.damped
+
+
+class ReboundDamping(ContactEffect):
+    """A share of the damper acts on rebound too: `k z + share b w` for w < 0, never below zero.
+
+    What the law's damper does on approach is taken to be linear in w. 0 <= share <= 1; null: 0.
+    """
+
+    share: Number = 0.0
+
+    @property
+    def damped(self):
+        return jnp.asarray(self.share) > 0
+
+    def rebound(self, z, w):
+        damper = self.law.approach(z, w) - self.law.approach(z, jnp.zeros_like(w))
+        return self.law.rebound(z, w) + self.share * damper
+
+    def edge(self, w):
+        zero = jnp.zeros_like(w)
+        damper = self.law.approach(zero, jnp.minimum(w, 0.0)) - self.law.approach(zero, zero)
+        stiffness = self.law.rebound(zero + 1.0, zero) - self.law.rebound(zero, zero)
+        return self.law.edge(w) - self.share * damper / stiffness
+
+
+class Hardening(ContactEffect):
+    """A spring that stiffens: `k z_r (z / z_r)^n` in place of `k z` (Hertz: n = 1.5; Johnson,
+    Contact Mechanics, Cambridge 1985, ch. 4).
+
+    n >= 1; null: n = 1. z_r = 1e-4 m: there the forces of all n are equal.
+    """
+
+    exponent: Number = 1.0
+    z_r: ClassVar[float] = 1e-4
+
+    @property
+    def rough(self):
+        return jnp.asarray(self.exponent != 1.0)
+
+    def _softened(self, z):
+        return self.z_r * power(z / self.z_r, self.exponent)
+
+    def approach(self, z, w):
+        return self.law.approach(self._softened(z), w)
+
+    def rebound(self, z, w):
+        return self.law.rebound(self._softened(z), w)
+
+    def edge(self, w):
+        return self.z_r * power(self.law.edge(w) / self.z_r, 1.0 / self.exponent)
+
+
+class InitialGap(ContactEffect):
+    """The pusher starts a gap away and strikes the part; its stroke includes the gap.
+
+    gap >= 0 [m]; null: 0.
+    """
+
+    gap: Number = 0.0  # type: ignore[assignment]

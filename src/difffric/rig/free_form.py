@@ -1,0 +1,183 @@
+"""Laws around a law that correct it by a smooth curve of no particular form.
+
+Where no effect of the catalogue explains a misfit, such a curve in one component after the other
+shows where it sits, and what is missing there: `law (1 + g)`, g a sum of cubic B-splines over the
+quantity that the law depends on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from difffric.diagnosis.candidates import Scales
+from difffric.rig.catalogue import CONTACT, FORCE, FRICTION, PROBE, PUSHER
+from difffric.rig.contact import ContactEffect
+from difffric.rig.friction import FrictionEffect
+from difffric.rig.pusher import PusherEffect
+from difffric.rig.rig import Rig
+from difffric.rig.sensors import ForceEffect, ProbeEffect
+
+SPLINES = 8
+"""How many make up a curve."""
+
+
+class Curve(eqx.Module):
+    """g(x) = sum_k c_k B(s (n - 1) - k), s = log(1 + x / bend) / log(1 + end / bend) within 0..1:
+    fine below `bend`, coarser towards `end`, and constant beyond."""
+
+    c: Float[Array, " n"]
+    end: Any
+    bend: Any
+
+    def __call__(self, x):
+        s = jnp.log1p(jnp.maximum(x, 0.0) / self.bend) / jnp.log1p(self.end / self.bend)
+        at = jnp.minimum(s, 1.0)[..., None] * (SPLINES - 1) - jnp.arange(SPLINES)
+        away = jnp.abs(at)
+        B = (jnp.maximum(2 - away, 0.0) ** 3 - 4 * jnp.maximum(1 - away, 0.0) ** 3) / 6
+        return jnp.sum(self.c * B, axis=-1)
+
+
+class FreeSpeed(FrictionEffect):
+    """Sliding friction corrected over the speed: `mu_k (1 + g(u))`."""
+
+    g: Any = None
+    affine: ClassVar[bool] = False  # type: ignore[assignment]
+
+    def sliding(self, u, F_N):
+        return self.law.sliding(u, F_N) + self.g(u) * self.law.sliding(jnp.zeros_like(u), F_N)
+
+
+class FreePlace(FrictionEffect):
+    """Friction corrected over the position: `mu (1 + g(x))`."""
+
+    g: Any = None
+    affine: ClassVar[bool] = False  # type: ignore[assignment]
+    uneven: ClassVar[bool] = True  # type: ignore[assignment]
+
+    def load(self, weight, x, beyond):
+        return self.law.load(weight, x, beyond) * (1 + self.g(x))
+
+
+class FreeSpring(ContactEffect):
+    """The spring corrected over the compression: `k z (1 + g(z))`."""
+
+    g: Any = None
+
+    def approach(self, z, w):
+        return self.law.approach(z * (1 + self.g(z)), w)
+
+    def rebound(self, z, w):
+        return self.law.rebound(z * (1 + self.g(z)), w)
+
+
+class FreeTravel(PusherEffect):
+    """The tip's speed corrected over its travel: `v (1 + g(y))`."""
+
+    g: Any = None
+    constant: ClassVar[bool] = False  # type: ignore[assignment]
+
+    def ripple(self, y):
+        return self.law.ripple(y) * (1 + self.g(y))
+
+
+class FreeForce(ForceEffect):
+    """The reading corrected over the force: `f (1 + g(|f|))`."""
+
+    g: Any = None
+
+    def read(self, f):
+        return self.law.read(f * (1 + self.g(jnp.abs(f))))
+
+
+class FreeProbe(ProbeEffect):
+    """The probe's reading corrected over the position: `x (1 + g(x))`."""
+
+    g: Any = None
+
+    def read(self, x):
+        return self.law.read(x * (1 + self.g(x)))
+
+
+@dataclass(frozen=True)
+class Form:
+    """A component's free form."""
+
+    component: str
+    law: Callable[..., Any]
+    quantity: str
+    """what the curve is over, as a person reads it"""
+    unit: str
+    over: Callable[[Scales], tuple[float, float]]
+    """the curve's end and bend"""
+    beside: tuple[str, ...] = ()
+    """numbers of effects that the component may need with it: what has a memory has no curve"""
+
+
+FORMS = {
+    "friction_speed": Form(
+        FRICTION, FreeSpeed, "speed of the part", "m/s", lambda s: (2 * s.fastest, s.slowest)
+    ),
+    "friction_place": Form(
+        FRICTION, FreePlace, "position of the part", "m",
+        lambda s: (float(s.ways.max()), 0.5 * float(s.ways.min())),
+    ),
+    "spring": Form(
+        CONTACT, FreeSpring, "compression", "m", lambda s: (s.compression, 10 * s.compression),
+        ("rebound_damping.share",),
+    ),
+    "travel": Form(
+        PUSHER, FreeTravel, "travel of the tip", "m", lambda s: (s.travel, 0.3 * s.travel),
+        ("pusher_lag.tau_s", "pusher_ramp.acceleration_m_per_s2"),
+    ),
+    "force": Form(
+        FORCE, FreeForce, "force", "N", lambda s: (s.peak, 10 * s.peak),
+        ("force_lowpass.tau_s", "force_highpass.tau_s", "force_offset.offset_N"),
+    ),
+    "probe": Form(
+        PROBE, FreeProbe, "position of the part", "m",
+        lambda s: (float(s.ways.max()), 0.5 * float(s.ways.min())), ("channel_skew.delay_s",),
+    ),
+}  # fmt: skip
+
+
+def names(form: str) -> tuple[str, ...]:
+    """Of a form's coefficients."""
+    return tuple(f"{form}:{k}" for k in range(SPLINES))
+
+
+def free_rig(rig: Rig, scales: Scales) -> Rig:
+    """The rig with all forms, at zero."""
+    for form in FORMS.values():
+        end, bend = form.over(scales)
+        curve = Curve(jnp.zeros(SPLINES), end, bend)
+        law = form.law(getattr(rig, form.component), g=curve)
+        rig = eqx.tree_at(lambda r, c=form.component: getattr(r, c), rig, law)
+    return rig
+
+
+def curve_of(rig: Rig, form: str) -> Any:
+    """The curve of one form within a rig that has all."""
+    at = getattr(rig, FORMS[form].component)
+    while not isinstance(at, FORMS[form].law):  # pyright: ignore[reportArgumentType]
+        at = at.law
+    return at.g
+
+
+def with_coefficients(rig: Rig, new: dict[str, Any]) -> Rig:
+    """The rig with the coefficients (SPLINES,) of some forms replaced."""
+    return eqx.tree_at(
+        lambda r: [curve_of(r, form).c for form in new], rig, list(new.values())
+    )  # fmt: skip
+
+
+def basis(form: str, scales: Scales, x: np.ndarray) -> np.ndarray:
+    """(len(x), SPLINES): the curve at x is this times its coefficients."""
+    curves = [Curve(jnp.asarray(row), *FORMS[form].over(scales)) for row in np.eye(SPLINES)]
+    return np.stack([np.asarray(g(jnp.asarray(x))) for g in curves], axis=1)

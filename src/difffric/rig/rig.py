@@ -1,0 +1,99 @@
+"""The rig: part, friction, contact, pusher and sensors, and their force balance, equation (2)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from difffric.rig.contact import UnilateralSpringDamper
+from difffric.rig.friction import ViscousCoulomb
+from difffric.rig.pusher import ConstantSpeed
+from difffric.rig.sensors import ForceSensor, Probe
+from difffric.units import GRAVITY
+
+
+class Rig(eqx.Module):
+    """A part on rails in front of a push tip. All fields in SI units.
+
+    Every number in it may be a Python float or a JAX value, so a rig can be differentiated
+    and batched like any array.
+    """
+
+    mass: Float[Array, ""] | float
+    friction: Any
+    contact: Any
+    pusher: Any = ConstantSpeed()
+    force_sensor: Any = ForceSensor()
+    probe: Any = Probe()
+
+    @property
+    def F_N(self) -> Any:
+        """Normal force [N] where the push starts: m g on level rails."""
+        return self.load(0.0, False)
+
+    def load(self, x, beyond) -> Any:
+        """Normal force [N] at the position x [m]; `beyond`: past the friction's `edge`."""
+        return self.friction.load(self.mass * GRAVITY, x, beyond)
+
+    @property
+    def slope(self) -> Any:
+        """What gravity itself holds against the push [N]: 0 on level rails."""
+        return self.friction.slope(self.mass * GRAVITY)
+
+    @property
+    def affine(self) -> bool:
+        """Whether every segment of a push has a closed form, and what is read of it too."""
+        laws = self.friction.affine and self.contact.affine and self.pusher.constant
+        sensors = self.force_sensor.filtered or self.force_sensor.sampled or self.probe.late
+        return laws and not sensors
+
+    @property
+    def all_laws(self) -> list[Any]:
+        """Every law of it, those within others too."""
+        laws: list[Any] = [
+            self.friction, self.contact, self.pusher, self.force_sensor, self.probe,
+        ]  # fmt: skip
+        for law in laws:
+            if hasattr(law, "law"):
+                laws.append(law.law)
+        return laws
+
+    @property
+    def only_own_laws(self) -> bool:
+        """Whether all its laws are of this library, and none a user's."""
+        return all(type(law).__module__.startswith("difffric.") for law in self.all_laws)
+
+    def approaching(self, z, w, u):
+        """Equation (2) while the tip closes in on the part: x'' [m/s^2]."""
+        return self.balance(self.contact.approach(z, w), u)
+
+    def rebounding(self, z, w, u):
+        """Equation (2) while the part recedes from the tip: x'' [m/s^2]."""
+        return self.balance(self.contact.rebound(z, w), u)
+
+    def free(self, u):
+        """Equation (2) without contact: x'' [m/s^2]."""
+        return self.balance(0.0, u)
+
+    def balance(self, F_contact, u):
+        """m x'' = b max(y' - x', 0) + k max(y - x, 0) - F(t), solved for x''.
+
+        These are the physical signs: the paper prints -F(t) alone on the right and the contact
+        on the left, which would pull the part away from the push.
+        """
+        return (F_contact - self.friction.sliding(u, self.F_N) - self.slope) / self.mass
+
+
+def spring_damper_rig(
+    *, mass, mu_s, k, b, mu_k_over_mu_s=0.75, k_v=0.0, stroke=None, **sensors
+) -> Rig:
+    """The paper's rig: equation (1) on the rails, equation (2) at the tip (SI units)."""
+    return Rig(
+        mass=mass,
+        friction=ViscousCoulomb(mu_s, mu_k_over_mu_s, k_v),
+        contact=UnilateralSpringDamper(k, b),
+        pusher=ConstantSpeed(stroke),
+        **sensors,
+    )

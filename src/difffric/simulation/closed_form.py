@@ -1,0 +1,230 @@
+"""The closed-form integrator: exact legs of a push wherever every law is affine."""
+
+from __future__ import annotations
+
+from math import factorial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from difffric.compute.elementary_functions import angle, polynomial, quotient
+from difffric.compute.event_root import falling_root
+from difffric.errors import InputError
+from difffric.rig.rig import Rig
+from difffric.simulation.leg import CATCH, HALT, RELEASE, STOP, TURN, Leg, first_event
+from difffric.simulation.oscillator import Oscillator, Slide
+
+_SINE, _COSINE, _DECAY = (
+    [sign**n / factorial(per * n + more) for n in range(5)]
+    for sign, per, more in ((-1.0, 2, 1), (-1.0, 2, 0), (1.0, 1, 0))
+)
+"""Series of sin(x)/x and cos(x) in x^2, and of exp(x), for small x."""
+
+
+def _oscillator(acceleration, v_p):
+    """The compression's oscillator and its equilibrium, read off equation (2).
+
+    z'' = -x'' with x' = v_p - z', so that z'' = -a(z, z'); a is affine.
+    """
+
+    def a(z, w):
+        return acceleration(z, w, v_p - w)
+
+    a_z, a_w = _slope(lambda z: a(z, 0.0)), _slope(lambda w: a(0.0, w))
+    return Oscillator(0.5 * a_w, a_z), -a(0.0, 0.0) * quotient(1.0, a_z)
+
+
+def _slide(rig):
+    return Slide(-rig.free(0.0), -_slope(rig.free))
+
+
+def _slope(law):
+    """Derivative of an affine law. Along one direction: `jacfwd` would make rows of a matrix."""
+    return jax.jvp(law, (0.0,), (1.0,))[1]
+
+
+def _gap(t, args):
+    """Distance of the part ahead of a tip that moves at v_p, and its rate."""
+    drag, rate, u, ahead, v_p = args
+    s, u_t = Slide(drag, rate).flow(u, t)
+    return ahead + s - v_p * t, u_t - v_p
+
+
+def _compression(t, args):
+    alpha, omega0_sq, xi, w, z_e = args
+    p, dp = Oscillator(alpha, omega0_sq).flow(xi, w, t)
+    return z_e + p, dp
+
+
+def _undershoot(t, args):
+    """How far z' still is below the tip's speed v_p: zero where the part halts."""
+    alpha, omega0_sq, w, dw, v_p = args
+    p, dp = Oscillator(alpha, omega0_sq).flow(w, dw, t)
+    return v_p - p, -dp
+
+
+class ClosedForm(eqx.Module):
+    """Equation (2) with affine laws, solved on paper: exact to rounding, fast, and
+    differentiable to any order in forward mode.
+    """
+
+    def check(self, rig: Rig):
+        """Raise `InputError` where a law of the rig has no closed form."""
+        if not rig.affine:
+            raise InputError(
+                "the closed form needs affine laws; "
+                f"{type(rig.friction).__name__} with {type(rig.contact).__name__} is not: "
+                "leave the integrator out, or give integrator=Diffrax()"
+            )
+
+    def breakaway(self, rig, v_p):
+        """Compression [m] at which a part at rest starts to slide; 0: at once."""
+        at_touch = rig.contact.approach(0.0, v_p)
+        stiffness = _slope(lambda z: rig.contact.approach(z, v_p))
+        F_S = rig.friction.breakaway(rig.F_N)
+        sticks = F_S > at_touch
+        return jnp.where(sticks, (F_S - at_touch) * quotient(1.0, stiffness), 0.0)
+
+    def closing(self, rig, z, u, v_p, left, may_halt):
+        """The tip closes in on the part, until w = 0, the part halts or the pusher stops."""
+        osc, z_e = _oscillator(rig.approaching, v_p)
+        xi, w = z - z_e, v_p - u
+        dw = -2 * osc.alpha * w - osc.omega0_sq * xi
+        turn = _unless_steady(osc, xi, w, z_e, osc.turning_time(xi, w, 1.0))
+        halt = jnp.inf
+        if may_halt:  # not where one cycle is all: from rest the part only speeds up
+            # With mu_k = mu_s the breakaway has no acceleration: its rounding is no fall.
+            falling = dw > 1e-12 * osc.omega0_sq * z_e
+            top = osc.turning_time(w, jnp.where(falling, dw, 1.0), 1.0)
+            # Masked by what holds in this mode, so that other lanes of a batch search for nothing.
+            halts = (
+                falling
+                & (w < v_p)
+                & (v_p > 0)
+                & (osc.extremum(w, dw, jnp.where(falling, top, 0.0)) > v_p)
+            )
+            top = jnp.where(halts, top, 0.0)
+            args = (osc.alpha, osc.omega0_sq, w, dw, v_p)
+            halt = jnp.where(halts, falling_root(_undershoot, args, 0.0, top, 0.5 * top), jnp.inf)
+            # Caught as it comes to rest, its last speed lost in rounding.
+            halt = jnp.where(falling & (w >= v_p) & (v_p > 0), 0.0, halt)
+        dt, event = first_event((left, STOP), (turn, TURN), (halt, HALT))
+        at_turn = osc.extremum(xi, w, _finite(dt))
+        if may_halt:
+            p, dp = osc.flow(xi, w, _finite(dt))
+            p, dp = jnp.where(event == TURN, at_turn, p), jnp.where(event == TURN, 0.0, dp)
+        else:
+            p, dp = at_turn, jnp.zeros_like(at_turn)  # without a stroke nothing else ends it
+        z_1 = z_e + p
+        u_1 = jnp.where(event == TURN, v_p, jnp.where(event == HALT, 0.0, v_p - dp))
+        peak = self._peak(rig, osc, z_e, xi, w, dw, turn, dt, (p, dp))
+        return Leg(dt, event, z_1, u_1, 0.0, peak)
+
+    def _peak(self, rig, osc, z_e, xi, w, dw, turn, dt, end):
+        """Largest contact force of a closing: the force obeys the same oscillator."""
+        k = _slope(lambda z: rig.contact.approach(z, 0.0))
+        b = _slope(lambda w: rig.contact.approach(0.0, w))
+        N_e = rig.contact.approach(z_e, 0.0)
+        N, dN = k * xi + b * w, k * w + b * dw
+        rises = dN > 0
+        top = osc.turning_time(jnp.where(rises, N, -1.0), jnp.where(rises, dN, 0.0), 1.0)
+        inside = rises & (top <= dt) & jnp.isfinite(top)
+        summit = osc.extremum(N, dN, jnp.where(inside, top, 0.0))
+        # Overdamped, the force may dip first, and creep up to its equilibrium without an end.
+        at_end = jnp.where(jnp.isinf(dt), 0.0, k * end[0] + b * end[1])
+        return N_e + jnp.where(inside, summit, jnp.where(at_end > N, at_end, N))
+
+    def rebounding(self, rig, z, u, v_p, left):
+        """The part recedes from the tip, until release, w = 0 or the pusher's stop."""
+        osc, z_e = _oscillator(rig.rebounding, v_p)
+        xi, w = z - z_e, v_p - u
+        turn = _unless_steady(osc, xi, w, z_e, osc.turning_time(xi, w, -1.0))
+        finite = jnp.isfinite(turn)
+        t_turn = jnp.where(finite, turn, 0.0)
+        depth = osc.extremum(xi, w, t_turn)
+        leaves = finite & (depth >= z_e) & (z >= 0) & (w <= 0)
+        guess = t_turn - _release_phase(osc, z_e, jnp.where(leaves, depth, z_e))
+        args = (osc.alpha, osc.omega0_sq, xi, w, z_e)
+        upto = jnp.where(leaves, t_turn, 0.0)
+        parting = falling_root(_compression, args, 0.0, upto, guess, 1)
+        release = jnp.where(leaves, parting, jnp.inf)
+        ends = (release, RELEASE), (jnp.where(leaves, jnp.inf, turn), TURN)
+        if rig.pusher.stroke is None:  # no stop: what the root was found with serves again
+            dt, event = first_event(*ends)
+            p, dp = osc.flow(xi, w, parting)
+        else:
+            dt, event = first_event((left, STOP), *ends)
+            p, dp = osc.flow(xi, w, _finite(dt))
+        p = jnp.where(event == TURN, -depth, p)
+        z_1 = jnp.where(event == RELEASE, 0.0, z_e + p)
+        u_1 = jnp.where(event == TURN, v_p, v_p - dp)
+        return Leg(dt, event, z_1, u_1, 0.0, 0.0)
+
+    def free(self, rig, z, u, v_p, left, may_catch):
+        """The part slides without contact, until rest, the pusher's stop or the next contact."""
+        slide = _slide(rig)
+        t_rest, s_rest = slide.rest(u)
+        if not may_catch:
+            return Leg(t_rest, jnp.full_like(left, HALT, int), z - s_rest, 0.0, s_rest, 0.0)
+        horizon = jnp.minimum(t_rest, left)
+        args = (*slide, u, -z, v_p)
+        caught = (v_p > 0) & (z <= 0) & (_gap(horizon, args)[0] <= 0)
+        # The gap is concave: it grows until u = v_p, and falls ever faster from there.
+        level = slide.drag + slide.rate * v_p
+        since = jnp.where(caught & (u > v_p), Slide(level, slide.rate).rest(u - v_p)[0], 0.0)
+        upto = jnp.where(caught, horizon, 0.0)
+        catch = jnp.where(caught, falling_root(_gap, args, since, upto, upto), jnp.inf)
+        dt, event = first_event((left, STOP), (catch, CATCH), (t_rest, HALT))
+        s, u_1 = slide.flow(u, dt)
+        s = jnp.where(event == HALT, s_rest, s)
+        z_1 = jnp.where(event == CATCH, 0.0, z + v_p * dt - s)
+        return Leg(dt, event, z_1, jnp.where(event == HALT, 0.0, u_1), s, 0.0)
+
+    def pushed_state(self, rig, closing, z, u, v_p, t):
+        """(z, u) at the time t into a pushed leg; the oscillator is chosen, not its solution."""
+        legs = _oscillator(rig.approaching, v_p), _oscillator(rig.rebounding, v_p)
+        osc, z_e = jax.tree.map(lambda a, b: jnp.where(closing, a, b), *legs)
+        p, dp = osc.flow(z - z_e, v_p - u, t)
+        return z_e + p, v_p - dp
+
+    def free_state(self, rig, u, t):
+        """(distance, u) at the time t into a free leg."""
+        return _slide(rig).flow(u, t)
+
+
+def _release_phase(osc, z_e, depth):
+    """How long before its turn at -depth the compression passes zero: nearly, and exactly
+    without damping.
+
+    Seen back from the turn, exp(c a) (cos a - c sin a) = z_e / depth at the phase a = omega t,
+    with c = alpha / omega. Two of Halley's steps from the a of c = 0, whose cosine and sine are
+    known; what the first adds to a is of the order of c, so that series turn them on.
+    """
+    rate = osc.rate()
+    c = quotient(osc.alpha, rate)
+    cosine = quotient(z_e, depth)
+    sine = jnp.sqrt(jnp.maximum(1.0 - cosine**2, 1e-30))
+    phase = angle(sine, cosine)
+    fading = jnp.exp(-c * phase) * cosine
+
+    def step(sine, cosine, fading):
+        excess = cosine - c * sine - fading
+        slope, bend = (1.0 + c**2) * sine, (1.0 + c**2) * (cosine + c * sine)
+        return 2 * excess * slope / (2 * slope**2 + excess * bend)
+
+    more = step(sine, cosine, fading)
+    s, k = more * polynomial(_SINE, more**2), polynomial(_COSINE, more**2)
+    turned = sine * k + cosine * s, cosine * k - sine * s
+    phase = phase + more + step(*turned, fading * polynomial(_DECAY, -c * more))
+    return quotient(phase, rate)
+
+
+def _finite(t):
+    return jnp.where(jnp.isfinite(t), t, 0.0)
+
+
+def _unless_steady(osc, xi, w, z_e, turn):
+    """An oscillation below rounding is steady sliding: it has no next turn."""
+    energy = osc.omega0_sq * xi**2 + w**2
+    return jnp.where(energy > osc.omega0_sq * (1e-13 * z_e) ** 2, turn, jnp.inf)

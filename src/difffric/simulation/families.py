@@ -1,0 +1,73 @@
+"""Curve families of the model over speed and mu_s (Figures II.5 and II.6), and their fits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.compute.xla_options import soon_compiled
+from difffric.identification.surrogates import DistanceSurrogate, ForceSurrogate
+from difffric.rig import parameters
+from difffric.rig.rig import Rig
+from difffric.simulation.observables import observe
+from difffric.units import from_mm_min
+
+SPEEDS_MM_MIN = np.linspace(500.0, 5000.0, 19)
+MU_S = np.linspace(0.05, 0.30, 26)
+"""The range over which (7)'s ranges are taken."""
+
+
+@dataclass(frozen=True)
+class Family:
+    """F_p [N] and d [m] on a grid, one row a speed [m/s], one column a mu_s; NaN where d does
+    not exist."""
+
+    velocity: NDArray
+    mu_s: NDArray
+    peak_force: NDArray
+    sliding_distance: NDArray
+    regime: NDArray
+
+    @property
+    def range_ratio(self) -> float:
+        """Delta F / Delta d of equation (7) [N/m]: ratio of the ranges over the whole grid."""
+        return float(np.ptp(self.peak_force) / self._range_d)
+
+    @property
+    def _range_d(self):
+        return np.nanmax(self.sliding_distance) - np.nanmin(self.sliding_distance)
+
+    def force_fit(self) -> ForceSurrogate:
+        """Equation (3) fitted to this family."""
+        v, mu = np.meshgrid(self.velocity, self.mu_s, indexing="ij")
+        return ForceSurrogate.fitted(v, mu, self.peak_force)
+
+    def distance_fit(self) -> DistanceSurrogate:
+        """Equation (5) fitted to this family."""
+        v, mu = np.meshgrid(self.velocity, self.mu_s, indexing="ij")
+        return DistanceSurrogate.fitted(v, mu, self.sliding_distance)
+
+
+@soon_compiled
+def _grid(rig, velocity, mu_s, integrator):
+    def one(velocity, mu_s):
+        seen = observe(parameters.with_values(rig, {"mu_s": mu_s}), velocity, integrator)
+        return seen.peak_force, seen.sliding_distance, seen.regime
+
+    over_mu = jax.vmap(one, in_axes=(None, 0))
+    return jax.vmap(over_mu, in_axes=(0, None))(velocity, mu_s)
+
+
+def family(rig: Rig, velocity=None, mu_s=None, integrator=None) -> Family:
+    """The family over `velocity` [m/s] and `mu_s`; by default the range of the paper's
+    experiments, 500-5000 mm/min and mu_s 0.05-0.30."""
+    velocity = from_mm_min(SPEEDS_MM_MIN) if velocity is None else np.asarray(velocity, float)
+    mu_s = MU_S if mu_s is None else np.asarray(mu_s, float)
+    F, d, regime = _grid(
+        parameters.as_arrays(rig), jnp.asarray(velocity), jnp.asarray(mu_s), integrator
+    )
+    return Family(velocity, mu_s, np.asarray(F), np.asarray(d), np.asarray(regime))

@@ -1,0 +1,172 @@
+"""What is measured of a push: the peak push force F_p, the free-sliding distance d, and how
+the push went. All of it can be differentiated and batched.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import NDArray
+
+from difffric.compute.program_cache import kept
+from difffric.rig import parameters
+from difffric.rig.rig import Rig
+from difffric.simulation import segments as sim
+from difffric.simulation.stepping.integrator import RungeKutta
+from difffric.simulation.stepping.loop import Marcher
+from difffric.simulation.stepping.state import March
+
+
+class Observables(NamedTuple):
+    """F_p and d of one push, in SI units, with its regime.
+
+    NaN stands in `sliding_distance` where `reason` is not 0 (`REASONS` says why), and in
+    both where the push could not be followed.
+    """
+
+    peak_force: Array
+    sliding_distance: Array
+    reason: Array
+    regime: Array
+    stuck_first: Array
+    contacts: Array
+    kind: Array
+    """a number that changes wherever a derivative may jump"""
+    displacement: Array
+    """from the part's start to where it rests for good [m], as the rig moves it and not as the
+    probe reads it; NaN where it does so only for t to infinity, or could not be followed"""
+    duration: Array
+    """until tip and part stand for good [s]; NaN likewise"""
+
+
+def _first_of(cases, otherwise) -> Any:
+    """The value of the first condition that holds: plain selections, which vectorise
+    (`jnp.select` would stack the conditions and search them)."""
+    value = otherwise
+    for condition, this in reversed(cases):
+        value = jnp.where(condition, this, value)
+    return value
+
+
+def observe(rig: Rig, velocity, integrator: sim.Integrator | None = None) -> Observables:
+    """F_p [N] and d [m] of one push at `velocity` [m/s]; the stroke is the rig's pusher's.
+
+    Pure, compiled once for all rigs of a kind: vmap and differentiate it (forward mode), and
+    jit what is built on it, as you like.
+    """
+    push = sim.Push.of(rig, velocity, integrator)
+    return _observed(parameters.as_arrays(push))
+
+
+@kept
+def _observed(push: sim.Push) -> Observables:
+    if isinstance(push.integrator, RungeKutta):
+        marcher = push.integrator.marcher(push.rig, push.velocity)
+        return marched(marcher, marcher.last())
+    return observables(push, push.last_state())
+
+
+def marched(marcher: Marcher, m: March) -> Observables:
+    """Read F_p, d and the regime off the end of a march."""
+    rig, c = marcher.motion.rig, m.course
+    too_many = m.contacts > sim.MAX_CONTACTS
+    lost_track = m.lost_track | ~m.over | ~jnp.isfinite(m.peak)
+    for_ever = m.endless & ~c.stopped
+    left = m.lost & ~c.touching
+    reason = _first_of(
+        [
+            (too_many, sim.TOO_MANY_CONTACTS),
+            (lost_track, sim.NOT_FOLLOWED),
+            (for_ever, sim.NEVER_RELEASED),
+            (~left, sim.RESTS_IN_CONTACT),
+        ],
+        sim.OK,
+    )
+    regime = _first_of(
+        [
+            (~c.moved, sim.NO_MOTION),
+            (~left, sim.PUSHED_TO_REST),
+            (m.lost_moving, sim.RELEASED_BY_REBOUND),
+        ],
+        sim.RELEASED_AT_STOP,
+    )
+    sensor, probe = rig.force_sensor, rig.probe
+    peak = m.sensed.peak if m.sensed and (sensor.filtered or sensor.sampled) else m.peak
+    x, x_lost = marcher.motion.position(m.s), m.x_lost
+    if marcher.motion.bristles is not None:
+        # Let go, the bristles stand upright, but for what holds the part on a slope.
+        x = x - m.s.q - rig.slope / marcher.motion.bristles.stiffness
+    if m.sensed and probe.late:
+        x_lost = jnp.where(m.sensed.crossed, m.sensed.x_lost, x_lost)
+    no_end = too_many | lost_track | for_ever | m.endless
+    return Observables(
+        peak_force=jnp.where(too_many | lost_track, jnp.nan, sensor.read(peak)),
+        sliding_distance=jnp.where(reason != sim.OK, jnp.nan, probe.read(x) - probe.read(x_lost)),
+        reason=reason,
+        regime=regime,
+        stuck_first=m.stuck_first,
+        contacts=m.contacts,
+        kind=_kind(regime, m.stuck_first, m.contacts, m.sticks, m.peak_contact),
+        displacement=jnp.where(no_end, jnp.nan, x),
+        duration=jnp.where(no_end, jnp.nan, m.s.t),
+    )
+
+
+def _kind(regime, stuck_first, *counts):
+    kind = regime + 4 * stuck_first
+    for count in counts:
+        kind = kind * 1024 + count
+    return kind  # of three counts: 30 bits
+
+
+def regime_of(kind: NDArray) -> NDArray:
+    """The regime that a kind says."""
+    return (np.asarray(kind) >> 30) % 4
+
+
+def observables(push: sim.Push, state: sim.State) -> Observables:
+    """Read F_p, d and the regime off the last state of a push."""
+    too_many = state.contacts > sim.MAX_CONTACTS
+    too_long = state.cycles >= sim.MAX_CYCLES
+    lost_track = ~jnp.isfinite(state.peak)
+    left = state.lost & ~state.in_contact
+    # Behind a standing tip an overdamped rebound comes to rest too, if only asymptotically.
+    for_ever = state.endless & (state.segment.v_p > 0)
+    reason = _first_of(
+        [
+            (lost_track, sim.NOT_FOLLOWED),
+            (too_many, sim.TOO_MANY_CONTACTS),
+            (too_long, sim.TOO_MANY_CYCLES),
+            (for_ever, sim.NEVER_RELEASED),
+            (~left, sim.RESTS_IN_CONTACT),
+            (state.endless, sim.NEVER_RESTS),
+        ],
+        sim.OK,
+    )
+    regime = _first_of(
+        [
+            (~state.moved, sim.NO_MOTION),
+            (~left, sim.PUSHED_TO_REST),
+            (state.lost_moving, sim.RELEASED_BY_REBOUND),
+        ],
+        sim.RELEASED_AT_STOP,
+    )
+    counts = state.contacts, state.sticks, state.peak_contact
+    peak = push.rig.force_sensor.read(state.peak)
+    slid = push.rig.probe.read(state.slid)
+    no_end = lost_track | too_many | too_long | state.endless
+    last = state.segment
+    return Observables(
+        peak_force=jnp.where(lost_track | too_many | too_long, jnp.nan, peak),
+        sliding_distance=jnp.where(reason != sim.OK, jnp.nan, slid),
+        reason=reason,
+        regime=regime,
+        stuck_first=state.stuck_first,
+        contacts=state.contacts,
+        kind=_kind(regime, state.stuck_first, *counts),
+        displacement=jnp.where(no_end, jnp.nan, last.y - last.z),
+        duration=jnp.where(no_end, jnp.nan, last.t),
+    )

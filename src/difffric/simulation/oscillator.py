@@ -1,0 +1,121 @@
+"""Closed forms of the two affine motions: the damped oscillator and the viscous slide.
+
+Everything here holds without a break from underdamped through critical to overdamped, and
+for a vanishing viscosity; forward derivatives pass through each of these limits. What a choice
+(`jnp.where`) leaves aside may be no number: it costs less than to mask it, and derivatives in
+forward mode leave it aside as well. XLA computes again, wherever it is used, what holds no
+division, root or exponential: results that are used more than once end in one.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from difffric.compute.elementary_functions import angle, log1p, polynomial, quotient, sin_cos
+
+_SINE = [(-1.0) ** n / float(np.prod(np.arange(1.0, 2 * n + 2))) for n in range(8)]
+_COSINE = [(-1.0) ** n / float(np.prod(np.arange(1.0, 2 * n + 1))) for n in range(8)]
+_ARCTAN = [(-1.0) ** n / (2 * n + 1) for n in range(10)]
+_DECAY = [(-1.0) ** n / float(np.prod(np.arange(1.0, n + 3))) for n in range(14)]
+_BRAKE = [(-1.0) ** n / (n + 2) for n in range(14)]
+
+
+class Oscillator(NamedTuple):
+    """p'' + 2 alpha p' + omega0_sq p = 0."""
+
+    alpha: Array
+    omega0_sq: Array
+
+    @property
+    def discriminant(self):
+        """omega0^2 - alpha^2: positive underdamped, negative overdamped [1/s^2]."""
+        return self.omega0_sq - self.alpha**2
+
+    def rate(self):
+        """omega, or what takes its place overdamped [1/s]; 1 where critical."""
+        D = self.discriminant
+        return jnp.sqrt(jnp.where(D == 0, 1.0, jnp.abs(D)))
+
+    def basis(self, t):
+        """exp(-alpha t) times cos(omega t) and sin(omega t)/omega, omega^2 = discriminant."""
+        D, rate = self.discriminant, self.rate()
+        x = D * t**2
+        small = jnp.abs(x) < 0.1
+        over = (D <= 0) & ~small
+        sine, cosine = sin_cos(rate * t)
+        fades = jnp.exp(-2 * rate * t)  # the faster exponential beside the slower one
+        slower = jnp.where(over, quotient(self.omega0_sq, self.alpha + rate), self.alpha)
+        growth = jnp.exp(jnp.minimum(slower * t, 700.0))
+        c = jnp.where(small, polynomial(_COSINE, x), cosine)
+        s = jnp.where(small, t * polynomial(_SINE, x), sine)
+        return (
+            quotient(jnp.where(over, 0.5 + 0.5 * fades, c), growth),
+            quotient(jnp.where(over, 0.5 - 0.5 * fades, s), growth * jnp.where(small, 1.0, rate)),
+        )
+
+    def flow(self, p, dp, t):
+        """(p, p') after the time t [s]."""
+        c, s = self.basis(t)
+        q = self.alpha * dp + self.omega0_sq * p
+        return p * c + (dp + self.alpha * p) * s, dp * c - q * s
+
+    def turning_time(self, p, dp, sign):
+        """First t >= 0 with p' = 0, where sign * p' >= 0 at the start; infinite if never.
+
+        With p' = 0 at the start and p on the far side (sign * p < 0) it is half a period.
+        """
+        D = self.discriminant
+        W = sign * dp
+        Q = sign * (self.alpha * dp + self.omega0_sq * p)
+        ratio = quotient(W, jnp.where(Q > 0, Q, 1.0))
+        s = D * ratio**2
+        small = (Q > 0) & (jnp.abs(s) < 0.01)
+        rate = self.rate()
+        phase = angle(rate * W, Q)
+        # W may be a rounding below zero: half a period ahead all the same.
+        phase = jnp.where(phase < 0, phase + 2 * jnp.pi, phase)
+        r = rate * ratio
+        hyperbolic = 0.5 * log1p(quotient(2 * r, 1 - r))
+        ends = (D < 0) & (Q > rate * W)
+        free = jnp.where(D > 0, phase, jnp.where(ends, hyperbolic, jnp.inf))
+        near = ratio * polynomial(_ARCTAN, s)
+        return quotient(jnp.where(small, near, free), jnp.where(small, 1.0, rate))
+
+    def extremum(self, p, dp, t):
+        """|p| at a turning time t: omega0^2 p^2 + 2 alpha p p' + p'^2 falls as exp(-2 alpha t),
+        so that no trigonometry is needed."""
+        Q = self.omega0_sq * p**2 + 2 * self.alpha * p * dp + dp**2
+        Q = jnp.where(Q > 0, Q, 0.0)
+        root = jnp.where(Q > 0, jnp.sqrt(jnp.where(Q > 0, Q, 1.0)), 0.0)
+        return quotient(jnp.exp(-self.alpha * t) * root, jnp.sqrt(self.omega0_sq))
+
+
+class Slide(NamedTuple):
+    """u' = -(drag + rate u): Coulomb and viscous friction per unit of mass."""
+
+    drag: Array
+    rate: Array
+
+    def flow(self, u, t):
+        """(distance, speed) after the time t [s], from the speed u."""
+        x = self.rate * t
+        small = jnp.abs(x) < 0.2
+        x_l = jnp.where(small, 1.0, x)
+        one = jnp.where(small, 1.0 - x * polynomial(_DECAY, x), -jnp.expm1(-x_l) / x_l)
+        two = jnp.where(small, polynomial(_DECAY, x), (x_l + jnp.expm1(-x_l)) / x_l**2)
+        return t * (u * one - self.drag * t * two), u - (self.drag + self.rate * u) * t * one
+
+    def rest(self, u):
+        """(time, distance) to rest from the speed u."""
+        stop = quotient(u, self.drag)
+        y = self.rate * stop
+        small = jnp.abs(y) < 0.1
+        inverse = quotient(1.0, jnp.where(small, 1.0, y))
+        mean = log1p(y) * inverse
+        half = jnp.where(small, polynomial(_BRAKE, y), (1.0 - mean) * inverse)
+        one = jnp.where(small, 1.0 - y * half, mean)
+        return stop * one, u * stop * half

@@ -1,0 +1,182 @@
+"""A push as its strides, to be evaluated at any time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from difffric.compute.native import in_one_piece
+from difffric.rig.rig import Rig
+from difffric.simulation.dynamics import Motion
+from difffric.simulation.stepping.dense_output import Stride
+from difffric.simulation.stepping.loop import Marcher
+from difffric.simulation.stepping.sensor_readout import Filtered, Passed
+from difffric.simulation.stepping.state import March
+
+_FEW = 16
+"""Strides that filters are taken through at once."""
+
+
+def _select(condition, new, old):
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)
+
+
+class Path(NamedTuple):
+    """A push as its strides, to be evaluated at any time."""
+
+    motion: Motion
+    strides: Stride
+    """stacked, padded with t = inf"""
+    end: March
+    filtered_strides: Passed | None = None
+    """what the force sensor's filters let through, stacked likewise; None: it has none"""
+
+    def _at(self, time):
+        """(stride, its index, share of it) at a time; the end's state beyond the last one."""
+        i = jnp.searchsorted(self.strides.t, time, side="right") - 1
+        i = jnp.clip(i, 0, self.strides.t.shape[0] - 1)
+        stride = jax.tree.map(lambda column: column[i], self.strides)
+        share = (time - stride.t) / stride.h
+        over = time >= self.end.s.t
+        course = _select(over, self.end.course, stride.course)
+        return stride._replace(course=course), i, jnp.clip(share, 0.0, 1.0), over
+
+    def evaluate(self, time):
+        """(contact force [N], position [m], speed [m/s]) at a time [s]; no force before 0."""
+        stride, _, share, over = self._at(time)
+        s = stride.point(self.motion, share)
+        end = self.end.s
+        s = _select(over, end, s._replace(q=end.q))
+        force = jnp.where(time >= 0, self.motion.force(stride.course, s), 0.0)
+        return force, self.motion.position(s), jnp.where(over, 0.0, s.u)
+
+    def read(self, t_force, t_position):
+        """What the sensors read: force [N] and position [m], each at its own times [s]."""
+        sensor, probe = self.motion.rig.force_sensor, self.motion.rig.probe
+        force = jnp.vectorize(self.filtered)(t_force)
+        at = jnp.vectorize(lambda time: self.evaluate(time)[1])
+        return sensor.read(force), probe.read(at(t_position - probe.delay))
+
+    def filtered(self, time):
+        """The force that the sensor's filters let through [N]."""
+        if self.filtered_strides is None:
+            return self.evaluate(time)[0]
+        _, i, share, _ = self._at(time)
+        passed = jax.tree.map(lambda column: column[i], self.filtered_strides)
+        return jnp.where(time >= 0, passed.value(share), 0.0)
+
+
+def follow(marcher: Marcher, rows: int) -> tuple[March, Path]:
+    """Follow the push to its end, and keep so many strides at most."""
+    start = marcher.start()
+    blank = jax.eval_shape(lambda m: marcher.step(m, record=True)[1], start)
+    table = jax.tree.map(lambda a: jnp.zeros((rows, *a.shape), a.dtype), blank)
+    table = table._replace(t=jnp.full(rows, jnp.inf))
+
+    def turn(carry):
+        m, table = carry
+        new, stride = marcher.step(m, record=True)
+        accepted = new.strides > m.strides
+        i = jnp.minimum(m.strides, rows - 1)
+        table = jax.tree.map(
+            lambda whole, row: whole.at[i].set(jnp.where(accepted, row, whole[i])),
+            table,
+            stride,
+        )
+        return new, table
+
+    m, table = jax.lax.while_loop(lambda carry: marcher.goes_on(carry[0]), turn, (start, table))
+    m = m._replace(lost_track=m.lost_track | (m.strides >= rows))
+    path = Path(marcher.motion, table, m)
+    filtered = marcher.motion.rig.force_sensor.filtered
+    return m, _with_filters(path, m.strides) if filtered else path
+
+
+def follow_together(marcher: Callable[[Rig, Array], Marcher], rigs: Rig, v, rows: int) -> Path:
+    """The paths of many pushes, followed in one loop that ends with the last of them, for so many
+    steps at most; `end.lost_track` says where that was too few, or a law gave no number.
+
+    `marcher(rig, v)` is mapped over rigs and speeds [m/s] with a leading axis. `vmap` of `follow`
+    would do the same, and copy the whole table of strides at each step.
+    """
+
+    def step(rig, v, m):
+        here = marcher(rig, v)
+        on = here.goes_on(m)
+        new, stride = here.step(m, record=True)
+        assert stride is not None
+        # A step that is taken again has the time of the next one, which is found in its place;
+        # filters pass over it.
+        taken = on & (new.strides > m.strides)
+        return _select(on, new, m), stride._replace(
+            t=jnp.where(on, stride.t, jnp.inf), end=jnp.where(taken, stride.end, 0.0)
+        )
+
+    # Run loop by loop, starting the loops would cost more than what is in them.
+    every = jax.vmap(step)
+    every = in_one_piece(every) if rigs.only_own_laws else every
+    start = jax.vmap(lambda rig, v: marcher(rig, v).start())(rigs, v)
+    blank = jax.eval_shape(lambda m: every(rigs, v, m)[1], start)
+    table = jax.tree.map(lambda a: jnp.zeros((rows, *a.shape), a.dtype), blank)
+    table = table._replace(t=jnp.full((rows, *blank.t.shape), jnp.inf))
+
+    def turn(carry):
+        k, m, table = carry
+        m, stride = every(rigs, v, m)
+        table = jax.tree.map(lambda whole, row: whole.at[k].set(row), table, stride)
+        return k + 1, m, table
+
+    def goes_on(carry):
+        k, m, _ = carry
+        return (k < rows) & ~jnp.all(m.over)
+
+    steps, m, table = jax.lax.while_loop(goes_on, turn, (0, start, table))
+    m = m._replace(lost_track=m.lost_track | ~m.over)
+
+    def path(rig, v, m, table):
+        found = Path(marcher(rig, v).motion, table, m)
+        return _with_filters(found, steps) if rig.force_sensor.filtered else found
+
+    table = jax.tree.map(lambda whole: jnp.moveaxis(whole, 0, 1), table)
+    return jax.vmap(path)(rigs, v, m, table)
+
+
+def _with_filters(path: Path, steps) -> Path:
+    """The path with what the force sensor's filters remember at each stride's start; `steps` of
+    its rows are filled."""
+    sensor, strides = path.motion.rig.force_sensor, path.strides
+    rows = strides.t.shape[0]
+
+    def pass_on(state, given):
+        N, h, end, there = given
+        through = Filtered.of(sensor, N, state, h)
+        after = through.low.value(end), through.high.value(end)
+        new = tuple(jnp.where(there, a, b) for a, b in zip(after, state, strict=True))
+        return new, through.passed()
+
+    def some(first, state):
+        """The next few rows."""
+        index = first + jnp.arange(_FEW)
+        few = jax.tree.map(lambda column: column.at[index].get(mode="clip"), strides)
+        there = jnp.isfinite(few.t) & (index < rows)
+        few = few._replace(h=jnp.where(there, few.h, 1.0))
+        powers = jax.vmap(lambda stride: jnp.stack(stride.force_powers(path.motion)))(few)
+        state, passed = jax.lax.scan(pass_on, state, (powers, few.h, few.end, there))
+        return index, state, passed
+
+    zero = 0.0 * strides.x[0][0] * strides.h[0]
+    blank = jax.eval_shape(lambda: some(0, (zero, zero))[2])
+    table = jax.tree.map(lambda a: jnp.zeros((rows, *a.shape[1:]), a.dtype), blank)
+
+    def turn(carry):
+        first, state, table = carry
+        index, state, passed = some(first, state)
+        table = jax.tree.map(lambda old, new: old.at[index].set(new, mode="drop"), table, passed)
+        return first + _FEW, state, table
+
+    _, _, table = jax.lax.while_loop(lambda carry: carry[0] < steps, turn, (0, (zero, zero), table))
+    return path._replace(filtered_strides=table)

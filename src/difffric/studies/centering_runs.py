@@ -1,0 +1,115 @@
+"""Many rings on simulated machines, each centred in several ways."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.centering.loop import Centering, centre
+from difffric.centering.machine import Readings, SimulatedMachine
+from difffric.centering.planning import Known
+from difffric.centering.ring import Ring
+from difffric.rig import parameters
+from difffric.rig.rig import Rig
+from difffric.studies.other_centering import RIVALS, Rivals
+from difffric.units import from_um
+
+OURS = "difffric"
+MU_S = (0.08, 0.25)
+OFFSETS = (from_um(5.0), from_um(5000.0))
+
+
+@dataclass(frozen=True)
+class HiddenRing:
+    """What the loop does not know."""
+
+    offset: NDArray
+    """(2,) [m]"""
+    mu_s: float
+    seed: int
+
+
+@dataclass(frozen=True)
+class Run:
+    """One ring, centred in one way."""
+
+    way: str
+    ring: HiddenRing
+    centering: Centering
+    path: NDArray
+    """(pushes + 1, 2) where the ring's centre truly was [m]"""
+
+    def within(self, tolerance: float) -> NDArray:
+        """(pushes,) whether the ring was truly within it after each push."""
+        return np.hypot(*self.path[1:].T) <= tolerance
+
+    def centred(self, tolerance: float) -> bool:
+        """Whether it truly was in the end, and the loop said so."""
+        return self.centering.reason is None and bool(np.hypot(*self.path[-1]) <= tolerance)
+
+
+class _Watched:
+    """A simulated machine, and where it moved the ring."""
+
+    def __init__(self, machine: SimulatedMachine):
+        self.machine, self.path = machine, [machine.offset]
+
+    def measure(self) -> Ring:
+        return self.machine.measure()
+
+    def push(self, velocity: float, stroke: float, direction: float) -> Readings:
+        found = self.machine.push(velocity, stroke, direction)
+        self.path.append(self.machine.offset)
+        return found
+
+
+def hidden_rings(
+    n: int, seed: int, mu_s: tuple[float, float] = MU_S, offsets: tuple[float, float] = OFFSETS
+) -> list[HiddenRing]:
+    """n rings: mu_s uniform, the offset log-uniform [m] in any direction."""
+    random = np.random.default_rng(seed)
+    out = []
+    for _ in range(n):
+        e = float(np.exp(random.uniform(float(np.log(offsets[0])), float(np.log(offsets[1])))))
+        phi = random.uniform(0, 2 * np.pi)
+        at = e * np.array([np.cos(phi), np.sin(phi)])
+        out.append(
+            HiddenRing(at, float(random.uniform(mu_s[0], mu_s[1])), int(random.integers(2**32)))
+        )
+    return out
+
+
+def runs(
+    known: Known,
+    rings: Sequence[HiddenRing],
+    *,
+    truth: Rig | None = None,
+    ways: Sequence[str] = (OURS, *RIVALS),
+    scatter: float | None = None,
+    drift: float = 0.0,
+    verify: bool = False,
+    tell: Callable[[str, float], None] = lambda what, share: None,
+) -> Iterator[Run]:
+    """Centre each ring in each way; every way meets the same ring, noise and scatter.
+
+    `truth` is the rig behind the machine where it is not the one that is planned with.
+    """
+    rivals = Rivals(known) if set(ways) - {OURS} else None
+    rig = known.rig if truth is None else truth
+    for i, ring in enumerate(rings):
+        tell(f"centring ring {i + 1} of {len(rings)}", i / len(rings))
+        hidden = parameters.with_values(rig, {"mu_s": ring.mu_s})
+        for way in ways:
+            machine = SimulatedMachine(
+                hidden, ring.offset, np.random.default_rng(ring.seed), drift=drift,
+                scatter=known.mu_s.scatter if scatter is None else scatter,
+            )  # fmt: skip
+            watched = _Watched(machine)
+            if way == OURS or rivals is None:
+                found = centre(watched, known, verify=verify)
+            else:
+                found = rivals.centre(watched, way)
+            yield Run(way, ring, found, np.array(watched.path))
