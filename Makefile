@@ -33,8 +33,8 @@ test: $(READY)  ## the tests; some need Debian's GHDL, yosys, Icarus, Chromium, 
 	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
 
 study: $(READY)  ## 1800 calibrations, 3730 diagnoses (a day; CASES=50: of each part), the slow tests
-	$(BIN)/python -m tests.study $(if $(CASES),--cases $(CASES))
-	$(BIN)/python -m tests.diagnosis_study $(if $(CASES),--cases $(CASES))
+	$(BIN)/python -m studies.calibration $(if $(CASES),--cases $(CASES))
+	$(BIN)/python -m studies.diagnosis $(if $(CASES),--cases $(CASES))
 	$(BIN)/python -m pytest -m slow
 
 bench: $(READY)  ## the benchmarks, into .benchmarks/latest.json

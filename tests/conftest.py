@@ -20,9 +20,9 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 draws others."""
 
 LONGEST = (
-    "diagnose",
-    "integrate",
-    "fit",
+    "procedure",
+    "integrators",
+    "calibrate",
     "notebooks",
     "paper",
     "cli_fit",

@@ -28,7 +28,7 @@ include_patterns = [
     "notebooks/*.ipynb",
 ]
 # Folders that are not read at all: without this line .venv would be walked.
-exclude_patterns = [".*", "out", "src", "tests", "benchmarks", "**/__pycache__"]
+exclude_patterns = [".*", "out", "src", "tests", "studies", "benchmarks", "**/__pycache__"]
 
 FUNCTION = re.compile(r"<(m[io])>(max|min|sin|cos|tan|arcsin|ln|exp)</\1>(?=(<mo[^>]*>&#x00028;)?)")
 """A function's name in a formula, and whether a bracket follows."""

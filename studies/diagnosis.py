@@ -1,0 +1,198 @@
+"""A study of diagnosis: random rigs with hidden effects, from files, started from rough set-ups.
+
+    python -m studies.diagnosis [--only clean] [--cases 50] [--shard 1/2] [--results DIR]
+        [--page PAGE]
+
+Every case has a seed of its own, is made by `tests.hidden`, which shares no code with the library,
+written to files, diagnosed from them, and appended as a line of JSON to
+DIR/diagnosis/CODE/GROUP.jsonl. What is there already is not done again. `studies.diagnosis_figures`
+makes the figures.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from studies import diagnosis_figures as figures
+from studies import runs
+from tests.hidden import case as cases
+from tests.hidden import random_case, strength, write
+from tests.hidden.outsiders import TABLE as OUTSIDERS
+from tests.reference.effect_parameters import NULLS
+
+PAGE = runs.ROOT / "docs" / "study.md"
+IMAGE = runs.ROOT / "docs" / "images" / "diagnosis_confusion.png"
+EFFECTS = tuple(NULLS)
+IN_RECORDINGS = tuple(e for e in EFFECTS if e not in cases.TABLE_ONLY and e != "normal_force")
+TIMING = ("pusher_ripple", "force_lowpass", "force_highpass", "channel_skew", "presliding")
+IN_TABLES = tuple(e for e in EFFECTS if e not in TIMING)
+"""those that F_p and d show"""
+HEAVIER = (1.0, 1.3)
+"""Relative masses where a normal force is looked for."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """One part of the study: what is hidden in its cases."""
+
+    seed: int
+    count: int
+    make: Callable
+    """(case number, seed) -> case"""
+
+
+def _turn(names: Sequence, i: int):
+    return names[i % len(names)]
+
+
+def _strong(strength: float, kind: str = cases.RECORDINGS, among=IN_RECORDINGS) -> Callable:
+    def make(i, seed):
+        effect = _turn(among, i)
+        more = {"masses": HEAVIER} if effect == "normal_force" else {}
+        if effect == "stribeck" and (i // len(among)) % 2:
+            more["delta"] = 1.0
+        if effect == "pusher_ramp" and (i // len(among)) % 2:
+            more["s_curve"] = True
+        return random_case(seed, effect, strength, kind=kind, **more)
+
+    return make
+
+
+def _counts(i, seed):
+    """An effect that changes F_p or d by 3 % and more, among small ones of every other."""
+    share = 0.03 * 4 ** np.random.default_rng(seed).uniform()
+    return random_case(seed, _turn(IN_RECORDINGS, i), change=share, nuisances=True)
+
+
+def _pair(i, seed):
+    rng = np.random.default_rng([seed, 7])
+    names = [e for e in IN_RECORDINGS if e != "presliding"]
+    for attempt in range(20):
+        pair = rng.choice(len(names), 2, replace=False)
+        try:
+            return random_case(seed + attempt, [names[k] for k in pair], strength=30.0)
+        except ValueError:  # inseparable, or not to be scaled to that
+            continue
+    raise ValueError("no pair")
+
+
+def _outsider(i, seed):
+    return random_case(seed, _turn(tuple(OUTSIDERS), i), strength=40.0)
+
+
+GROUPS = {
+    "clean": Group(1, 1000, lambda i, seed: random_case(seed)),
+    "clean tables": Group(2, 1000, lambda i, seed: random_case(seed, kind=cases.TABLE)),
+    "s = 6": Group(3, 240, _strong(6.0)),
+    "s = 10": Group(4, 240, _strong(10.0)),
+    "s = 30": Group(5, 120, _strong(30.0)),
+    "typical": Group(6, 240, lambda i, seed: random_case(seed, _turn(IN_RECORDINGS, i))),
+    "tables": Group(7, 240, _strong(10.0, cases.TABLE, IN_TABLES)),
+    "with nuisances": Group(8, 240, _counts),
+    "pairs": Group(9, 200, _pair),
+    "outsiders": Group(10, 150, _outsider),
+}
+
+
+def run_case(group: str, i: int, keep: Path | None = None) -> dict:
+    """One case: what was hidden, what the diagnosis says, and what the true model would gain."""
+    import difffric as df
+    from difffric.rig.setup import read_setup
+
+    line: dict = {"group": group, "case": i}
+    try:
+        case = GROUPS[group].make(i, 100_000 * GROUPS[group].seed + i)
+    except ValueError as error:
+        return {**line, "skipped": str(error)}
+    line |= {"kind": case.kind, "effects": dict(case.effects), "outsider": dict(case.outsider)}
+    line["another_form"] = case.s_curve or _exponent(case) != 2.0
+    line["components"] = list(case.components)
+    line["s"] = strength(case) if case.hidden else 0.0
+    with tempfile.TemporaryDirectory() as empty:
+        folder = keep or Path(empty)
+        path = write(case, folder)
+        setup, data = read_setup(folder / "setup.toml"), df.load(path)
+        began = time.perf_counter()
+        try:
+            found = df.diagnose(setup, data, use_data_mass=len(case.masses) > 1)
+        except (df.DifffricError, ArithmeticError, ValueError) as error:
+            return {**line, "error": f"{type(error).__name__}: {error}"}
+        line["seconds"] = time.perf_counter() - began
+    told = found.as_dict()
+    told.pop("mu_s"), told.pop("experiments")
+    return {**line, **told, "true_model": true_model(found, case)}
+
+
+def _exponent(case: cases.Case) -> float:
+    return case.effects.get("stribeck", {}).get("delta", 2.0)
+
+
+def true_model(found, case: cases.Case) -> dict | None:
+    """The error on held-out pushes of the model that made the data, fitted from the truth, and by
+    how much it beats the diagnosis's own in -2 log likelihood. None: not one of the catalogue's,
+    or not to be followed."""
+    from difffric.diagnosis.candidates import numbers_of
+    from difffric.diagnosis.start import folds_of
+    from difffric.estimation import ensemble as en
+    from difffric.estimation import ensemble_refits
+
+    data, plain, base, *_ = found.work
+    task = data.task
+    coordinates = task.model.coordinates
+    names = [name for effect in case.effects for name in numbers_of(effect)]
+    if case.outsider or not names or not set(names) <= set(coordinates.names):
+        return None
+    values = {**case.rig, "mu_s": 1.0}
+    for effect, numbers in case.effects.items():
+        values |= {
+            "mu_k_over_mu_s" if effect == "friction_ratio" else f"{effect}.{key}": x
+            for key, x in numbers.items()
+        }
+    c = plain.c.copy()
+    known = [x for x in dict.fromkeys((*case.rig, *names)) if x in coordinates.names]
+    c[0, coordinates.indices(known)] = coordinates.point({name: values[name] for name in known})
+    own = np.log([push.mu_s for push in case.pushes])
+    mu = np.array([[own[task.condition == k].mean() for k in range(task.conditions)]])
+    extra = (*plain.extra[0], *(i for i in coordinates.indices(names) if i not in task.shared))
+    at = replace(
+        plain, extra=(extra,), c=c, mu=mu, own=own[None] - mu[:, task.condition],
+        gram=None, residual=None, damping=None,
+    )  # fmt: skip
+    at = en.evaluated(task, at)
+    if (en.penalised(task, at) >= en.REJECTED).any():  # bristles too stiff to be followed
+        return None
+    at = ensemble_refits.refitted(task, at, 30)
+    folds = folds_of(np.asarray(task.model.pushes.velocity), False)
+    squares = ensemble_refits.held_out(task, replace(at, spread=base.spread), folds).squares
+    return {
+        "heldout_nrmse": float(np.sqrt(squares.sum() / task.counts.sum())),
+        "better_by": float(en.criterion(task, base)[0] - en.criterion(task, at)[0]),
+    }
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run what is missing, print the figures, write the page."""
+    asked, shard = runs.arguments("studies.diagnosis", __doc__ or "", tuple(GROUPS), PAGE, words)
+    runs.prepare()
+    folder = asked.results / "diagnosis" / runs.code("hidden")
+    for group in asked.only or GROUPS:
+        count = GROUPS[group].count if asked.cases is None else asked.cases
+        runs.run(group, folder, count, partial(run_case, group), shard, figures.told)
+    everything = {group: runs.load(folder, group) for group in GROUPS}
+    text = figures.markdown(everything, folder.name)
+    print(text)
+    if shard == (1, 1):
+        figures.confusion(everything, IMAGE)
+        runs.write_into(asked.page, text, "diagnoses")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,1 +1,0 @@
-"""The FPGA core under a simulator: cocotb tests, which tests/test_hdl.py runs."""
