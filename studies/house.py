@@ -20,41 +20,22 @@ SOURCE = Path(__file__).parents[1] / "src" / "difffric"
 MOST_MODULES, MOST_LINES = 17, 400
 LEAST_ANNOTATED = 0.85
 IRREGULAR = frozenset(
-    [
-        "told",
-        "made",
-        "found",
-        "given",
-        "kept",
-        "drawn",
-        "known",
-        "taken",
-        "seen",
-        "spread",
-        "held",
-        "led",
-        "left",
-        "lost",
-        "met",
-        "written",
-        "shown",
-        "chosen",
-        "bound",
-        "built",
-        "sent",
-        "begun",
-        "cut",
-        "beside",
-        "said",
-        "read_back",
-        "gone",
-        "cool",
-        "grown",
-        "swept",
-        "put",
-    ]
+    re.findall(
+        r"\w+",
+        """
+        told made found given kept drawn known taken seen spread held led left lost met written
+        shown chosen bound built sent begun cut beside said read_back gone cool grown swept put
+        """,
+    )
 )
-NOUNS = frozenset(["speed", "seed", "feed", "need", "shed", "embed"])
+NOUNS = frozenset(
+    re.findall(
+        r"\w+",
+        """
+        speed seed feed need shed embed
+        """,
+    )
+)
 
 
 @dataclass(frozen=True)
@@ -152,135 +133,20 @@ def no_verbs(module: Module) -> list[str]:
 
 
 VERBS = frozenset(
-    [
-        "add",
-        "append",
-        "apply",
-        "ask",
-        "average",
-        "begin",
-        "bind",
-        "bound",
-        "build",
-        "call",
-        "check",
-        "choose",
-        "clear",
-        "close",
-        "collect",
-        "combine",
-        "compare",
-        "compile",
-        "compute",
-        "count",
-        "cover",
-        "cut",
-        "describe",
-        "draw",
-        "drop",
-        "emulate",
-        "end",
-        "estimate",
-        "evaluate",
-        "expect",
-        "find",
-        "fit",
-        "follow",
-        "format",
-        "gather",
-        "get",
-        "give",
-        "group",
-        "hold",
-        "integrate",
-        "invert",
-        "iterate",
-        "join",
-        "keep",
-        "know",
-        "leave",
-        "list",
-        "load",
-        "locate",
-        "look",
-        "lose",
-        "make",
-        "mark",
-        "measure",
-        "merge",
-        "move",
-        "name",
-        "note",
-        "open",
-        "order",
-        "pack",
-        "pad",
-        "parse",
-        "pick",
-        "place",
-        "plot",
-        "pool",
-        "predict",
-        "prepare",
-        "print",
-        "put",
-        "raise",
-        "read",
-        "record",
-        "reduce",
-        "refit",
-        "remove",
-        "rename",
-        "render",
-        "repeat",
-        "replace",
-        "report",
-        "require",
-        "reset",
-        "resolve",
-        "restore",
-        "return",
-        "run",
-        "sample",
-        "save",
-        "scan",
-        "score",
-        "search",
-        "seek",
-        "select",
-        "send",
-        "set",
-        "settle",
-        "show",
-        "simulate",
-        "skip",
-        "solve",
-        "sort",
-        "split",
-        "stack",
-        "start",
-        "step",
-        "stop",
-        "store",
-        "stream",
-        "sum",
-        "take",
-        "tell",
-        "test",
-        "time",
-        "track",
-        "trace",
-        "try",
-        "update",
-        "use",
-        "validate",
-        "walk",
-        "warm",
-        "warn",
-        "weight",
-        "whiten",
-        "write",
-    ]
+    re.findall(
+        r"\w+",
+        """
+        add append apply ask average begin bind bound build call check choose clear close collect
+        combine compare compile compute count cover cut describe draw drop emulate end estimate
+        evaluate expect find fit follow format gather get give group hold integrate invert iterate
+        join keep know leave list load locate look lose make mark measure merge move name note open
+        order pack pad parse pick place plot pool predict prepare print put raise read record reduce
+        refit remove rename render repeat replace report require reset resolve restore return run
+        sample save scan score search seek select send set settle show simulate skip solve sort
+        split stack start step stop store stream sum take tell test time track trace try update use
+        validate walk warm warn weight whiten write
+        """,
+    )
 )
 """First words that make a name a deed, whatever its last word is: `find_shared`, `drop_unused`."""
 
