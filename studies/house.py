@@ -66,6 +66,11 @@ def read_modules(source: Path = SOURCE) -> list[Module]:
     return found
 
 
+def docstring(module: Module) -> str | None:
+    """What the module says of itself."""
+    return ast.get_docstring(module.tree)
+
+
 def crowded_folders(modules: list[Module]) -> list[str]:
     """Folders with more modules than a reader can keep in mind."""
     count: dict[Path, int] = defaultdict(int)
