@@ -51,6 +51,7 @@ CONTENTS = {
     "Reference": ["docs/site/reference", "docs/formats", "docs/card"],
     "Evidence": ["docs/performance", "docs/study", "docs/sampling"],
     "The project": [
+        "docs/architecture",
         "docs/decisions/README",
         "CHANGELOG",
         "CONTRIBUTING",
