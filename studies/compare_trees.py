@@ -24,6 +24,8 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
+import polars
+
 ROOT = Path(__file__).parents[1]
 SETUP, TABLE, RECORDINGS = (
     "{examples}/setup.toml",
@@ -123,7 +125,7 @@ def differences(before, after, path: str = "") -> Iterator[str]:
     elif isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
         for k, pair in enumerate(zip(before, after, strict=True)):
             yield from differences(*pair, f"{path}/{k}")
-    elif type(before) is not type(after) or before != after:
+    elif repr(before) != repr(after):  # so that one NaN is like another
         relative = ""
         if isinstance(before, float) and isinstance(after, float):
             scale = max(abs(before), abs(after), math.ulp(0.0))
@@ -136,6 +138,9 @@ def read_answers(out: Path) -> dict:
     found: dict = {"exit_status": (out / "exit_status").read_text(encoding="utf-8")}
     for path in sorted(out.rglob("*.json")):
         found[str(path.relative_to(out))] = json.loads(path.read_text(encoding="utf-8"))
+    for path in sorted(out.glob("pushes/*/*/*.parquet")):  # a fleet's data set, by rig and date
+        table = polars.read_parquet(path, hive_partitioning=False).drop("date", strict=False)
+        found[f"{path.parent.parent.name}/{path.name}"] = table.to_dict(as_series=False)
     for path in sorted(out.rglob("*.toml")):
         found[str(path.relative_to(out))] = tomllib.loads(path.read_text(encoding="utf-8"))
     return found
