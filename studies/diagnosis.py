@@ -104,7 +104,7 @@ GROUPS = {
 def run_case(group: str, i: int, keep: Path | None = None) -> dict:
     """One case: what was hidden, what the diagnosis says, and what the true model would gain."""
     import difffric as df
-    from difffric.rig.setup import read_setup
+    from difffric.rig.setup_toml import read_setup
 
     line: dict = {"group": group, "case": i}
     try:
@@ -138,10 +138,10 @@ def true_model(found, case: cases.Case) -> dict | None:
     """The error on held-out pushes of the model that made the data, fitted from the truth, and by
     how much it beats the diagnosis's own in -2 log likelihood. None: not one of the catalogue's,
     or not to be followed."""
-    from difffric.diagnosis.candidates import numbers_of
     from difffric.diagnosis.start import folds_of
     from difffric.estimation import ensemble as en
     from difffric.estimation import ensemble_refits
+    from difffric.rig.catalogue import numbers_of
 
     data, plain, base, *_ = found.work
     task = data.task

@@ -93,7 +93,7 @@ def by_difffric(paths: list[str]) -> float:
     """Every sample of the files by this library, with its checks; the number of pushes."""
     from difffric.measurements.checks import checked_data
     from difffric.measurements.files.tdms_reader import read_recordings
-    from difffric.rig.setup import read_setup
+    from difffric.rig.setup_toml import read_setup
 
     rigs: dict[Path, object] = {}
     pushes = 0

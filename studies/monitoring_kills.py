@@ -21,7 +21,7 @@ from difffric.measurements.files import table_csv
 from difffric.monitoring import feed as monitor_feed
 from difffric.monitoring import monitor
 from difffric.monitoring.readings import Reading
-from difffric.rig.setup import read_setup
+from difffric.rig.setup_toml import read_setup
 
 assert table_csv  # imported here, not by each fork
 

@@ -40,7 +40,7 @@ _HOME = {
     "invert": "identification.inversion",
     "load": "measurements.load_file",
     "load_ring": "centering.ring_csv",
-    "load_setup": "rig.setup",
+    "load_setup": "rig.setup_toml",
     "measure": "centering.ring",
     "next_push": "calibration.optimal_push",
     "observe": "simulation.observables",
@@ -92,7 +92,7 @@ if TYPE_CHECKING:
     from difffric.rig.pusher import ConstantSpeed as ConstantSpeed
     from difffric.rig.rig import Rig as Rig
     from difffric.rig.rig import spring_damper_rig as spring_damper_rig
-    from difffric.rig.setup import load_setup as load_setup
+    from difffric.rig.setup_toml import load_setup as load_setup
     from difffric.simulation.batch import observe_batch as observe_batch
     from difffric.simulation.closed_form import ClosedForm as ClosedForm
     from difffric.simulation.diffrax_reference import Diffrax as Diffrax

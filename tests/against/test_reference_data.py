@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from scipy.stats import chi2, kstest
 
 from difffric.measurements.pushes import Pushes
-from difffric.rig.setup import load_setup
+from difffric.rig.setup_toml import load_setup
 from tests.reference import data, exact, files, make_examples, ode, traces
 from tests.reference.data import MM_MIN, NO_NOISE, Rig
 

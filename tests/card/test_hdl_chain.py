@@ -18,7 +18,7 @@ from difffric.identification.live import contradictions
 from difffric.measurements.checks import checked_data
 from difffric.measurements.files.tdms_reader import read_recordings
 from difffric.measurements.reduction.reduce import reduce_recordings
-from difffric.rig.setup import read_setup
+from difffric.rig.setup_toml import read_setup
 from fpga.emulator.emulator import emulated_card
 from tests.card.hdl import simulate
 from tests.compiler import needs_compiler

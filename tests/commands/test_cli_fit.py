@@ -17,12 +17,14 @@ import pytest
 import difffric as df
 from difffric.commands import main
 from difffric.commands.reports.identify import summary_of
-from difffric.commands.reports.page import rounded, writable
 from difffric.identification.estimates import NONE, Estimate, Identified, PushFriction
 from difffric.measurements.files.tdms_writer import write_recordings
 from difffric.measurements.recordings import Channel
+from difffric.number_text import format_pair
+from difffric.output_folder import check_writable
 from difffric.rig import parameters
-from difffric.rig.setup import Extras, Setup, read_setup
+from difffric.rig.setup import Extras, Setup
+from difffric.rig.setup_toml import read_setup
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SETUP, CSV, TDMS = (EXAMPLES / name for name in ("setup.toml", "pushes.csv", "pushes.tdms"))
@@ -188,7 +190,7 @@ def test_distances_of_other_pushes_do_not_converge(scatter_free, says):
         return df.fit(setup, df.Pushes(v, F, d[order], **errors))
 
     wrong = fit([0, 7, 2, 5, 4, 3, 6, 1])
-    assert wrong.work[2].settled and not wrong.converged
+    assert wrong.state.at.settled and not wrong.converged
     (note,) = [x for x in wrong.notes if says in x]
     assert note.startswith("not converged")
     right = fit(np.arange(8))
@@ -369,7 +371,7 @@ def test_the_shared_error_of_free_slides_is_their_mean_s_shift_with_viscosity():
     ],
 )
 def test_numbers_are_shown_to_two_digits_of_their_error(value, error, shown):
-    assert rounded(value, error) == shown
+    assert format_pair(value, error) == shown
 
 
 # Bad input: one line, exit status 2, nothing left behind
@@ -468,7 +470,7 @@ def test_a_fit_does_not_replace_the_set_up_it_starts_from(run, tmp_path):
 
 
 def test_checking_a_folder_makes_none(tmp_path):
-    assert writable(tmp_path / "a" / "b") == tmp_path / "a" / "b"
+    assert check_writable(tmp_path / "a" / "b") == tmp_path / "a" / "b"
     assert list(tmp_path.iterdir()) == []
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,9 +25,10 @@ from difffric.measurements.checks import checked_data
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
 from difffric.measurements.reduction.reduce import Reduction, reduce_recordings
+from difffric.progress import Tell, silent
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
-from difffric.rig.setup import Setup, checked
+from difffric.rig.setup import Setup, check_rig
 from difffric.simulation.segments import Integrator, default_integrator
 
 FREE = ("k_N_per_m", "b_N_s_per_m", "k_v_N_s_per_m", "mu_s")
@@ -35,10 +36,6 @@ FREE = ("k_N_per_m", "b_N_s_per_m", "k_v_N_s_per_m", "mu_s")
 
 _SCATTER = 0.03
 """Where the scatter's estimate starts."""
-
-
-def _silent(what: str, share: float) -> None:
-    """Progress that nobody asked for."""
 
 
 def rigs_of(rig: Rig, pushes: Pushes) -> Rig:
@@ -65,7 +62,7 @@ def fit(
     thorough: bool = True,
     use_data_mass: bool = False,
     skip_bad: bool = False,
-    tell: Callable[[str, float], None] = _silent,
+    tell: Tell = silent,
     integrator: Integrator | None = None,
 ) -> Fit:
     """Calibrate a rig on measured pushes: a table, whole recordings, or free slides.
@@ -87,7 +84,7 @@ def fit(
     `NumericalError` where no start gives a finite misfit.
     """
     setup = rig if isinstance(rig, Setup) else Setup(rig)
-    rig = checked(setup.rig)
+    rig = check_rig(setup.rig)
     if isinstance(data, Recordings):
         data = checked_data(data, rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
     else:

@@ -19,7 +19,7 @@ from difffric.estimation.stacked_data import sensor_errors
 from difffric.measurements.pushes import Pushes
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
-from difffric.rig.setup import Setup, checked
+from difffric.rig.setup import Setup, check_rig
 from difffric.simulation.segments import default_integrator
 
 ASSUMED = 0.01
@@ -87,7 +87,7 @@ def identifiable(
     Raises `InputError` for unknown parameters and for a noise that is not positive.
     """
     setup = rig if isinstance(rig, Setup) else Setup(rig)
-    base = checked(setup.rig)
+    base = check_rig(setup.rig)
     for value, what in zip(noise, ("force", "distance"), strict=True):
         if value is not None and not (np.isfinite(value) and value > 0):
             raise InputError(f"noise: that of the {what} is {value}: expected a number > 0")

@@ -3,20 +3,34 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from difffric.estimation.coordinates import slope, to_value
+from difffric.estimation.mixed_fit import Model, Settled
 from difffric.estimation.open_parameters import undetermined, units
+from difffric.estimation.stacked_data import RECORDINGS, SLIDES, FitData
 from difffric.measurements.pushes import Pushes
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
 from difffric.rig.setup import Extras, Setup
 
 LEVELS = (0.68, 0.95, 0.997)
+"""The confidence levels of intervals: one, two and three standard deviations."""
+
+
+@dataclass(frozen=True)
+class FitState:
+    """Where the search of a fit ended: what profiles, predictions and designs go on from."""
+
+    model: Model
+    """what of the rig was free"""
+    data: FitData
+    """the measurements as the search took them"""
+    at: Settled
+    """the optimum"""
 
 
 @dataclass(frozen=True)
@@ -68,6 +82,12 @@ class Fit:
     """the calibrated model's F_p [N]"""
     sliding_distance: NDArray
     """the calibrated model's d [m], NaN where it does not exist"""
+    state: FitState
+    """the end of the search, for profiles and predictions. Not in `result.json`"""
+    setup: Setup
+    """the set-up that the fit started from"""
+    pushes: Pushes
+    """what it was fitted to, checked; recordings as they were reduced. Not in `result.json`"""
     noise: dict[str, dict[str, float]] = field(default_factory=dict)
     """what is known of each channel's noise: level, correlation"""
     samples: int = 0
@@ -76,12 +96,6 @@ class Fit:
     notes: tuple[str, ...] = ()
     """what a reader should know"""
     skipped: tuple[str, ...] = ()
-    setup: Setup | None = None
-    """the set-up that the fit started from"""
-    work: Any = None
-    """the fit's own state, for profiles and predictions"""
-    pushes: Pushes | None = None
-    """what it was fitted to, checked; recordings as they were reduced. Not in `result.json`"""
     push_names: tuple[str, ...] = ()
     """of the recordings' groups, an entry a push; empty for other data"""
 
@@ -156,17 +170,30 @@ class Fit:
         open_ = [i for i, label in enumerate(self.free) if label not in self.held]
         covariance = self.covariance[np.ix_(open_, open_)]
         names = [self.names[i] for i in open_]
-        unit = units(self.rig, names, self._fastest)
+        unit = units(self.rig, names, self.fastest_speed)
         return out + undetermined([self.free[i] for i in open_], names, covariance, unit)
 
     @property
-    def _fastest(self) -> float:
-        """The fastest of the pushes, or of the slides' releases [m/s]; 0: not known."""
-        if self.work is None:
-            return 0.0
-        pushes = self.work[1].pushes
-        slides = hasattr(pushes, "release_velocity")
+    def fastest_speed(self) -> float:
+        """The fastest of the pushes, or of the slides' releases [m/s]."""
+        pushes = self.state.data.pushes
+        slides = self.kind == SLIDES
         return float(np.max(pushes.release_velocity if slides else pushes.velocity))
+
+    @property
+    def estimates_scatter(self) -> bool:
+        """Whether the scatter of mu_s was estimated, and not held."""
+        return self.state.model.estimate_scatter
+
+    @property
+    def chi2_per_sample(self) -> NDArray | None:
+        """(n,) each recording's squared residuals per sample, in units of the noise: 1 is
+        perfect; None for other data."""
+        if self.kind != RECORDINGS:
+            return None
+        data, at = self.state.data, self.state.at
+        r = data.weights * np.asarray(at.end.rows)[: data.n, :, -1]
+        return (r**2).sum(axis=1) / data.samples_of
 
     def _at_lower(self, label: str) -> bool:
         return label in self.vanished or self.names[self.index(label)] != "mu_k_over_mu_s"
@@ -184,7 +211,7 @@ class Fit:
     @property
     def fitted_setup(self) -> Setup:
         """The set-up with the fitted values and their standard errors."""
-        old = self.setup or Setup(self.rig)
+        old = self.setup
         extras = dict(old.extras)
         for label, name in zip(self.free, self.names, strict=True):
             known = extras.get(name, Extras())

@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from difffric.calibration.result import Fit
+from difffric.calibration.result import Fit, FitState
 from difffric.estimation.mixed_fit import NOTHING, Model, Settled, linear_at, start_offsets
 from difffric.estimation.stacked_data import RECORDINGS, FitData
 from difffric.measurements.pushes import Pushes
@@ -84,7 +84,7 @@ def result(
         notes=tuple(notes),
         skipped=pushes.skipped,
         setup=setup,
-        work=(model, data, at),
+        state=FitState(model, data, at),
         pushes=pushes,
         push_names=() if reduction is None else tuple(r.name for r in reduction.recordings),
     )

@@ -93,7 +93,7 @@ def plan(
     from difffric.centering.planning import Known, speeds_between
     from difffric.centering.planning import plan as next_push
     from difffric.commands.reports import plan as answers
-    from difffric.rig.setup import read_setup
+    from difffric.rig.setup_toml import read_setup
     from difffric.units import from_mm, from_mm_min, from_um
 
     positive("--within-um", within_um)
@@ -138,7 +138,7 @@ def centre(
     from difffric.centering.belief import Belief
     from difffric.centering.planning import SCATTER, Known
     from difffric.commands.reports import centre as answers
-    from difffric.rig.setup import load_setup, read_setup
+    from difffric.rig.setup_toml import load_setup, read_setup
     from difffric.studies.centering_runs import OFFSETS, OURS, hidden_rings, runs
     from difffric.studies.other_centering import RIVALS
     from difffric.units import from_um
@@ -244,7 +244,7 @@ def monitor(
     from difffric.commands.reports import monitor as answers
     from difffric.errors import InputError
     from difffric.monitoring.feed import Feed
-    from difffric.rig.setup import read_setup
+    from difffric.rig.setup_toml import read_setup
 
     if follow and len(data) != 1:
         raise InputError(f"--follow: expected one .tdms, got {len(data)} files")

@@ -140,10 +140,10 @@ def acquire(
     positive("--stroke-mm", stroke_mm)
     from difffric.acquisition.card import open_card
     from difffric.commands.reports import acquire as answers
-    from difffric.commands.reports.page import folder_for
     from difffric.commands.simulated_rig import simulated_card
     from difffric.errors import InputError
-    from difffric.rig.setup import read_setup
+    from difffric.output_folder import open_folder
+    from difffric.rig.setup_toml import read_setup
     from difffric.units import from_mm
 
     if simulate is not None and setup is not None:
@@ -159,7 +159,7 @@ def acquire(
         stroke = known.rig.pusher.stroke
     mass = float("nan") if known is None else float(known.rig.mass)
     pushes = answers.commands(velocity_mm_min or (), stroke=stroke, mass=mass)
-    with folder_for(out or Path()) as folder, card as session:
+    with open_folder(out or Path()) as folder, card as session:
         run = answers.record(session, pushes, folder, setup=known, quiet=quiet, plot=plot)
     note = answers.NO_STROKE if stroke is None else None
     seeded = None if simulate is None else seed
@@ -224,7 +224,7 @@ def fit(
     from difffric.errors import InputError
     from difffric.measurements.load_file import load
     from difffric.measurements.recordings import Recordings
-    from difffric.rig.setup import read_setup
+    from difffric.rig.setup_toml import read_setup
 
     answers.check_out(out, setup)
     rig, loaded = read_setup(setup), load(data, skip_bad=skip_bad)
@@ -267,7 +267,7 @@ def identify(
     from difffric.errors import InputError
     from difffric.identification.estimators import identify as estimate
     from difffric.measurements.load_file import load
-    from difffric.rig.setup import read_setup
+    from difffric.rig.setup_toml import read_setup
 
     if setup is None:
         raise InputError(f"--setup is missing: expected the set-up of the rig of {data}")
@@ -303,7 +303,7 @@ def diagnose(
     from difffric.diagnosis.procedure import diagnose as look
     from difffric.errors import InputError
     from difffric.measurements.load_file import load
-    from difffric.rig.setup import read_setup
+    from difffric.rig.setup_toml import read_setup
 
     if not 0 <= negligible < 1:
         raise InputError(f"--negligible: expected a share from 0 to 1, got {negligible:g}")

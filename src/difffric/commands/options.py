@@ -44,7 +44,7 @@ def positive(name: str, value: float | None) -> float | None:
 def rig_of(setup: Path, mu_s=None, mass_kg=None, stroke_mm=None):
     """The set-up's rig with what the command line overrides."""
     from difffric.rig import parameters
-    from difffric.rig.setup import load_setup
+    from difffric.rig.setup_toml import load_setup
     from difffric.units import from_mm
 
     rig = load_setup(setup)
@@ -108,6 +108,6 @@ def finish(report, answer, out: Path | None, files: Mapping[str, bytes] | None =
 def check_writable(out: Path | None) -> None:
     """Say that a folder cannot be written before the work, not after it; nothing is made yet."""
     if out is not None:
-        from difffric.commands.reports.page import writable
+        from difffric.output_folder import check_writable
 
-        writable(out)
+        check_writable(out)

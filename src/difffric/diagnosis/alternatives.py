@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.diagnosis.candidates import numbers_of
 from difffric.diagnosis.exploration import Candidate, beside_null
 from difffric.estimation import ensemble as en
 from difffric.estimation import ensemble_refits
 from difffric.estimation.ensemble import Fits, Task
+from difffric.rig.catalogue import numbers_of
 
 _PARALLEL = 0.8
 """Share of an effect's information that a cause takes, from which it is tried in its place."""

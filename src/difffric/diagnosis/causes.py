@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from difffric.diagnosis.candidates import component_of, numbers_of
+from difffric.rig.catalogue import component_of, numbers_of
 from difffric.diagnosis.exploration import Candidate
 from difffric.diagnosis.verdict import Cause
 from difffric.estimation import ensemble as en

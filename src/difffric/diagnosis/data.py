@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from difffric.calibration.result import Fit
-from difffric.diagnosis.candidates import Scales, numbers_of
 from difffric.estimation.blocks import stacked_blocks
 from difffric.estimation.effect_coordinates import PLAIN, Coordinates
 from difffric.estimation.ensemble import Fits, Task
@@ -23,8 +22,9 @@ from difffric.estimation.stacked_data import strokes_of
 from difffric.measurements.pushes import Pushes as Measured
 from difffric.measurements.reduction.reduce import Reduction
 from difffric.rig import parameters
-from difffric.rig.catalogue import CATALOGUE, FORCE, PROBE, RATIO, extended
+from difffric.rig.catalogue import CATALOGUE, FORCE, PROBE, RATIO, extended, numbers_of
 from difffric.rig.rig import Rig
+from difffric.rig.scales import Scales
 from difffric.units import GRAVITY
 
 NOT_IN_RECORDINGS = ("sample_clipping", "release_threshold")
@@ -154,13 +154,13 @@ def beside(data: DiagnosisData, fit: Fit) -> tuple[DiagnosisData, Fits]:
     """The data with what was free in a plain fit of them, and where that ended, as an ensemble of
     one."""
     task = data.task
-    coordinates, model = task.model.coordinates, fit.work[0]
+    coordinates = task.model.coordinates
     shared = [name for name in dict.fromkeys(fit.names) if name in PLAIN and name != "mu_s"]
     task = replace(
         task,
         shared=tuple(coordinates.index(name) for name in shared),
         mu_free="mu_s" in fit.names,
-        estimate_scatter=model.estimate_scatter,
+        estimate_scatter=fit.estimates_scatter,
     )
     looked_for = tuple(
         e for e in data.looked_for if not (e == RATIO and numbers_of(e)[0] in shared)

@@ -9,12 +9,13 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from difffric.diagnosis.candidates import LOCAL, Scales, grid, numbers_of
+from difffric.diagnosis.candidates import LOCAL, grid
 from difffric.diagnosis.shape_scan import SHAPED, shape_starts, within_the_way
 from difffric.estimation import ensemble as en
 from difffric.estimation import ensemble_refits
 from difffric.estimation.ensemble import Fits, Task, subset_of
-from difffric.rig.catalogue import KEYS, RATIO
+from difffric.rig.catalogue import KEYS, RATIO, numbers_of
+from difffric.rig.scales import Scales
 
 _LEADERS, _SCORED = 5, 3
 """Effects that are refitted to all pushes: the best of the scan, and of the score test."""

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.diagnosis.candidates import Scales
 from difffric.estimation import ensemble as en
 from difffric.estimation import ensemble_refits
 from difffric.estimation.ensemble import Fits, Task, subset_of
 from difffric.rig import free_form
 from difffric.rig.free_form import FORMS
+from difffric.rig.scales import Scales
 
 TYPICAL = 0.5
 """Standard deviation that a curve's coefficients are assumed to have: not much larger than 1."""

@@ -7,7 +7,7 @@ ones made it needless.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from threading import Thread
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from difffric.diagnosis import exploration as search
 from difffric.diagnosis.alternatives import alternatives
-from difffric.diagnosis.candidates import LOCAL, numbers_of
+from difffric.diagnosis.candidates import LOCAL
 from difffric.diagnosis.causes import cause_of
 from difffric.diagnosis.exploration import Candidate, Score
 from difffric.diagnosis.extended_setup import extended_rig, extended_setup, stripped
@@ -43,7 +43,8 @@ from difffric.estimation.ensemble import Fits
 from difffric.estimation.extended_model import PRESLIDING, SLIDES
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
-from difffric.rig.catalogue import KEYS, RATIO
+from difffric.progress import Tell, silent
+from difffric.rig.catalogue import KEYS, RATIO, numbers_of
 from difffric.rig.rig import Rig
 from difffric.rig.setup import Setup
 
@@ -73,10 +74,6 @@ _HIDING = 6
 """Steps in which the plain model takes up what an invisible effect does."""
 
 
-def _silent(what: str, share: float) -> None:
-    """Progress that nobody asked for."""
-
-
 def diagnose(
     rig: Rig | Setup,
     data: Pushes | Recordings,
@@ -85,7 +82,7 @@ def diagnose(
     held_out: str = PUSH,
     use_data_mass: bool = False,
     skip_bad: bool = False,
-    tell: Callable[[str, float], None] = _silent,
+    tell: Tell = silent,
 ) -> Diagnosis:
     """Show what the rig's simulation gets wrong in measured pushes, name the cause, extend the
     rig by it and measure the gain on held-out pushes.
@@ -116,7 +113,7 @@ class _Diagnosis:
     by_speed: bool
     use_data_mass: bool
     skip_bad: bool
-    tell: Callable[[str, float], None]
+    tell: Tell
     notes: list[str] = field(default_factory=list)
     considered: list[Candidate] = field(default_factory=list)
     """the first round's leaders"""

@@ -14,10 +14,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.diagnosis.candidates import Scales
 from difffric.estimation import ensemble as en
 from difffric.estimation import ensemble_refits
 from difffric.estimation.ensemble import Fits, Task
+from difffric.rig.scales import Scales
 
 SHAPED = {
     "friction_waviness": ("wavelength_m", "phase_rad"),

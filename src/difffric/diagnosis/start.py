@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from threading import Thread
 
@@ -19,6 +18,7 @@ from difffric.measurements.checks import checked_data
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
 from difffric.measurements.reduction.reduce import reduce_recordings
+from difffric.progress import Tell
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
 from difffric.rig.setup import Setup
@@ -43,9 +43,7 @@ class Start:
     """the set-up as it was given"""
 
 
-def start_of(
-    setup: Setup, given: Pushes | Recordings, tell: Callable[[str, float], None], **options
-) -> Start:
+def start_of(setup: Setup, given: Pushes | Recordings, tell: Tell, **options) -> Start:
     """Checks the data, fits the plain set-up, and makes the program beside it.
 
     `options`: use_data_mass, skip_bad.

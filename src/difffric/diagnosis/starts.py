@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from difffric.diagnosis.candidates import numbers_of
 from difffric.diagnosis.exploration import Candidate
 from difffric.diagnosis.lack_of_fit import far
 from difffric.estimation import ensemble as en
 from difffric.estimation import ensemble_refits
 from difffric.estimation.ensemble import Fits, Task
+from difffric.rig.catalogue import numbers_of
 
 _ROUNDS = 20
 _BETTER, _SHARE = 1.0, 0.01

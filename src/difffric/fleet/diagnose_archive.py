@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from difffric.commands.reports.page import folder_for
-from difffric.diagnosis.candidates import numbers_of
 from difffric.diagnosis.procedure import NEGLIGIBLE, PUSH, SPEED
 from difffric.diagnosis.shape_scan import SHAPED
 from difffric.errors import InputError, require_float64
@@ -24,9 +22,11 @@ from difffric.fleet.member import ASKED, RESULT, SETUP, Question, Rig, ask, exam
 from difffric.fleet.shared_effects import CAUSES, Combined, combined, differing
 from difffric.fleet.verdict import FleetDiagnosis
 from difffric.fleet.workers import Lost, Runner, workers
+from difffric.output_folder import open_folder
+from difffric.progress import Tell, silent
+from difffric.rig.catalogue import numbers_of
 
 RIGS = "rigs"
-Tell = Callable[[str, float], None]
 _FIRST = 0.8
 """Share of the work that the diagnoses are taken to be."""
 
@@ -41,7 +41,7 @@ def diagnose_fleet(
     negligible: float = NEGLIGIBLE,
     held_out: str = PUSH,
     use_data_mass: bool = False,
-    tell: Tell = lambda what, share: None,
+    tell: Tell = silent,
 ) -> FleetDiagnosis:
     """Diagnose each rig of an archive (`fleet_archive.find`) on at most 40 of its pushes, into
     `out`, and find the effects that rigs share and the rigs that differ.
@@ -64,7 +64,7 @@ def diagnose_fleet(
     for source in sources:
         files.setdefault(source.rig, []).append(source)
     options = {"negligible": negligible, "held_out": held_out, "use_data_mass": use_data_mass}
-    with folder_for(out), workers(n_workers, scheduler) as run:
+    with open_folder(out), workers(n_workers, scheduler) as run:
         kept = (out / RIGS).absolute()
         rigs = {
             name: Rig(

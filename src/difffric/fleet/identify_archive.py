@@ -14,7 +14,7 @@ import hashlib
 import io
 import os
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
@@ -22,14 +22,16 @@ from urllib.parse import quote
 import polars as pl
 
 from difffric.atomic_files import write_whole
-from difffric.commands.reports.page import folder_for
 from difffric.errors import InputError
 from difffric.fleet import features
 from difffric.fleet.archive import Source, find
 from difffric.fleet.columns import friction
 from difffric.fleet.features import MADE_WITH
 from difffric.fleet.workers import Lost, Runner, workers
-from difffric.rig.setup import Setup, read_setup
+from difffric.output_folder import open_folder
+from difffric.progress import Tell, silent
+from difffric.rig.setup import Setup
+from difffric.rig.setup_toml import read_setup
 
 FILES = 32
 """Files that a task reads: more make a kill cost more, fewer the scheduler."""
@@ -39,7 +41,6 @@ ROWS = 8192
 """Pushes that a task identifies, and that a file of the data set holds, at most."""
 DATA_SET, STATE = "pushes", ".fleet"
 _KEY = "difffric"
-Tell = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,7 @@ def identify_fleet(
     n_workers: int = 1,
     scheduler: str | None = None,
     use_data_mass: bool = False,
-    tell: Tell = lambda what, share: None,
+    tell: Tell = silent,
 ) -> Fleet:
     """mu_s of every push of an archive (`fleet_archive.find`), into `out`, goes on where an
     earlier run ended.
@@ -96,7 +97,7 @@ def identify_fleet(
     tell("looking for files", 0.0)
     sources = find(archive, setup, out)
     setups, broken = setups_of(sources, setup)
-    with folder_for(out), workers(n_workers, scheduler) as run:
+    with open_folder(out), workers(n_workers, scheduler) as run:
         _tidy(out)
         parts = (out / STATE).absolute()
         made = not parts.exists()

@@ -14,9 +14,7 @@ import jax
 import numpy as np
 
 from difffric.atomic_files import write_whole
-from difffric.commands.reports.page import plain
 from difffric.diagnosis import exploration as search
-from difffric.diagnosis.candidates import numbers_of
 from difffric.diagnosis.procedure import diagnose
 from difffric.diagnosis.start import start_of
 from difffric.diagnosis.starts import best_base
@@ -28,9 +26,12 @@ from difffric.fleet.archive import Source
 from difffric.fleet.features import MADE_WITH
 from difffric.fleet.sample import MOST, sample
 from difffric.measurements.quantities import one_line
+from difffric.output_folder import to_json_types
+from difffric.progress import silent
 from difffric.rig import catalogue
-from difffric.rig.catalogue import RATIO
-from difffric.rig.setup import Setup, read_setup, write_setup
+from difffric.rig.catalogue import RATIO, numbers_of
+from difffric.rig.setup import Setup
+from difffric.rig.setup_toml import read_setup, write_setup
 
 LAYOUT = 1
 """Of what is kept of a rig: another one is made anew."""
@@ -164,7 +165,7 @@ def ask(question: Question) -> str | None:
         some = sample(rig.sources)
         extended = read_setup(Path(rig.folder) / SETUP)
         mass = dict(rig.options).get("use_data_mass", False)
-        start = start_of(extended, some.data, _silent, use_data_mass=mass, skip_bad=True)
+        start = start_of(extended, some.data, silent, use_data_mass=mass, skip_bad=True)
         task = start.data.task
         base = best_base(task, start.at, start.guess)
         excess = excess_of(task, base, question.effect, dict(question.sizes))
@@ -202,10 +203,6 @@ def _reason(error: Exception) -> str:
     return words if isinstance(error, DifffricError) else f"{type(error).__name__}: {words}"
 
 
-def _silent(what: str, share: float) -> None:
-    """Progress that nobody sees."""
-
-
 def _kept(path: Path, key: str) -> dict | None:
     try:
         known = json.loads(path.read_bytes())
@@ -215,5 +212,5 @@ def _kept(path: Path, key: str) -> dict | None:
 
 
 def _keep(path: Path, key: str, answer: Mapping) -> None:
-    text = json.dumps(plain({"key": key, **answer}), indent=1, allow_nan=False) + "\n"
+    text = json.dumps(to_json_types({"key": key, **answer}), indent=1, allow_nan=False) + "\n"
     write_whole(path, lambda file: file.write(text.encode()))

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy
 
-from difffric.diagnosis.candidates import numbers_of
 from difffric.diagnosis.verdict import UNEXPLAINED
 from difffric.fleet.meta_analysis import (
     Pooled,
@@ -23,7 +22,7 @@ from difffric.fleet.meta_analysis import (
     sharing,
     summed,
 )
-from difffric.rig.catalogue import CATALOGUE, KEYS, RATIO
+from difffric.rig.catalogue import CATALOGUE, KEYS, RATIO, numbers_of
 
 SIGNIFICANT = 1e-3
 """A shared effect is found in summed evidence where chance gives as much with less than this."""

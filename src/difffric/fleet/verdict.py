@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from difffric.commands.reports.page import number, rounded
 from difffric.fleet.meta_analysis import Pooled
 from difffric.fleet.shared_effects import CAUSES, KNOWN, OWN, SIZE, Combined, Different, Shared
+from difffric.number_text import format_number, format_pair
 from difffric.rig.catalogue import CATALOGUE
 
 _HETEROGENEOUS = 0.01
@@ -93,7 +93,7 @@ def _line(one: Shared, n: int) -> str:
 
 
 def _size(x: Pooled) -> str:
-    value, error = rounded(x.value, x.standard_error)
+    value, error = format_pair(x.value, x.standard_error)
     return f"{value} ± {error}"
 
 
@@ -116,20 +116,20 @@ def told(found: FleetDiagnosis, x: Different) -> str:
     if x.how == OWN:
         cause = next(c for c in found.answers[x.rig]["diagnosis"]["causes"] if c["id"] == x.effect)
         sizes = ", ".join(
-            f"{key} = {' ± '.join(rounded(p['value'], p['standard_error']))}"
+            f"{key} = {' ± '.join(format_pair(p['value'], p['standard_error']))}"
             for key, p in cause["parameters"].items()
         )
         alike = " or ".join(cause["confusable_with"])
         return f"it alone has {x.effect} ({sizes})" + (f", or {alike}" if alike else "")
     one = next(s for s in found.found.shared if s.effect == x.effect)
-    p = number(x.p_value, 2)
+    p = format_number(x.p_value, 2)
     if x.how == SIZE:
         key = min(one.odd[x.rig], key=lambda k: one.odd[x.rig][k])
-        own = " ± ".join(rounded(*one.sizes[key][x.rig]))
+        own = " ± ".join(format_pair(*one.sizes[key][x.rig]))
         return (
             f"its {key} of {x.effect} is {own}, the others' {_size(one.parameters[key])} (p = {p})"
         )
-    excess = number(found.excess[x.effect, x.rig], 3)
+    excess = format_number(found.excess[x.effect, x.rig], 3)
     return (
         f"it has no {x.effect}, and would have shown it: with the others' size -2 log L is "
         f"{excess} worse (p = {p})"

@@ -27,10 +27,11 @@ from difffric.measurements.checks import checked_data
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
 from difffric.measurements.reduction.reduce import Reduction, reduce_recordings
+from difffric.progress import Tell, silent
 from difffric.rig import parameters
 from difffric.rig.parameters import pick
 from difffric.rig.rig import Rig
-from difffric.rig.setup import Setup, checked
+from difffric.rig.setup import Setup, check_rig
 from difffric.simulation.families import MU_S, SPEEDS_MM_MIN
 from difffric.simulation.observables import observe, regime_of
 from difffric.simulation.segments import REGIMES, default_integrator
@@ -89,7 +90,7 @@ def identify(
     bracket=BRACKET,
     use_data_mass: bool = False,
     skip_bad: bool = False,
-    tell: Callable[[str, float], None] = lambda what, share: None,
+    tell: Tell = silent,
     integrator=None,
 ) -> Identified:
     """mu_s of each push: from F_p, from d, by (7), the optimal combination; from a recording
@@ -108,7 +109,7 @@ def identify(
     Raises `InputError` for data that cannot be used with the rig (`data_checks`).
     """
     known = Calibration.read(rig)
-    checked(known.rig)
+    check_rig(known.rig)
     reduction = None
     if isinstance(data, Recordings):
         data = checked_data(data, known.rig, use_data_mass=use_data_mass, skip_bad=skip_bad)

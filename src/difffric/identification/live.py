@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -22,6 +22,7 @@ from difffric.measurements.checks import checked_data
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Channel, Recording, Recordings
 from difffric.measurements.reduction.reduce import Reduced, Reduction, reduce_recordings
+from difffric.progress import Tell, silent
 from difffric.rig.parameters import pick
 from difffric.rig.rig import Rig
 from difffric.rig.sensors import ForceSensor
@@ -62,7 +63,7 @@ class LiveIdentifier:
         setup: Setup,
         commands: Sequence[Command],
         *,
-        tell: Callable[[str, float], None] = lambda what, share: None,
+        tell: Tell = silent,
     ):
         self._setup, rig = setup, setup.rig
         self._known = Calibration.read(setup)

@@ -51,7 +51,7 @@ def checked_data(
                     "(--use-data-mass takes the data's)"
                 )
     if isinstance(data, Recordings):
-        data = data.in_newtons(rig.force_sensor)
+        data = data.in_newtons(rig.force_sensor.sensitivity)
         for i, push in enumerate(data):
             problems.setdefault(i, []).extend(_bad_samples(push, rig.force_sensor, keep_saturated))
     lines = [f"{_place(data, i)}: {words}" for i in sorted(problems) for words in problems[i]]

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 
-from difffric.rig.setup import ANY, NOT_NEGATIVE, POSITIVE, Range
+from difffric.value_ranges import ANY, NOT_NEGATIVE, POSITIVE, Range
 
 MANY = 10  # problems that are told one by one
 LONGEST = 600  # characters of a line

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from difffric.errors import InputError
-from difffric.rig.sensors import ForceSensor
 
 
 @dataclass(frozen=True)
@@ -83,12 +82,12 @@ class Recording:
     started: float = np.nan
     """when it was recorded [s since 1970, UTC]"""
 
-    def in_newtons(self, sensor: ForceSensor) -> Recording:
-        """The recording with its force in newtons, by the sensor's sensitivity where it is in
-        volts."""
+    def in_newtons(self, sensitivity: float) -> Recording:
+        """The recording with its force in newtons; a force in volts is divided by the force
+        sensor's sensitivity [V/N]."""
         if self.force is None or self.force.unit == "N":
             return self
-        return replace(self, force=self.force.scaled(1.0 / sensor.sensitivity, "N"))
+        return replace(self, force=self.force.scaled(1.0 / sensitivity, "N"))
 
 
 @dataclass(frozen=True)
@@ -122,6 +121,6 @@ class Recordings(Sequence[Recording]):
         chosen = np.arange(len(self))[keep]
         return replace(self, pushes=tuple(self.pushes[i] for i in chosen))
 
-    def in_newtons(self, sensor: ForceSensor) -> Recordings:
-        """All forces in newtons."""
-        return replace(self, pushes=tuple(push.in_newtons(sensor) for push in self.pushes))
+    def in_newtons(self, sensitivity: float) -> Recordings:
+        """The recordings with all forces in newtons, by the force sensor's sensitivity [V/N]."""
+        return replace(self, pushes=tuple(push.in_newtons(sensitivity) for push in self.pushes))

@@ -25,6 +25,7 @@ from difffric.monitoring.monitor import Monitor
 from difffric.monitoring.records import Seen, content_of, content_of_recording
 from difffric.monitoring.state_file import load as load_state
 from difffric.monitoring.state_file import save
+from difffric.progress import Tell, silent
 from difffric.rig.setup import Setup
 
 _SAVED = 0.5  # [s] of pushes from a file that a kill may take, to be counted again
@@ -94,7 +95,7 @@ class Feed:
         *,
         use_data_mass: bool = False,
         skip_bad: bool = False,
-        tell: Callable[[str, float], None] = lambda what, share: None,
+        tell: Tell = silent,
     ) -> None:
         """Take all pushes of the files, in this order, that were not counted before.
 
@@ -136,7 +137,7 @@ class Feed:
         path: Path,
         *,
         idle: float | None = None,
-        tell: Callable[[str, float], None] = lambda what, share: None,
+        tell: Tell = silent,
     ) -> None:
         """Take the pushes of a .tdms as they are written, until none came for `idle` [s], or for
         ever; the state is saved after each."""

@@ -20,7 +20,7 @@ from difffric.monitoring.local_level import WANDER, Level
 from difffric.monitoring.readings import Reader
 from difffric.monitoring.records import Alarm, Cell, Seen, content_of, content_of_recording
 from difffric.rig.rig import Rig
-from difffric.rig.setup import Setup, checked
+from difffric.rig.setup import Setup, check_rig
 
 SCATTER = 0.015
 """Of mu_s, where the set-up says none: a scale only, as the spread is then learnt."""
@@ -54,7 +54,7 @@ class Monitor:
 
     def __init__(self, setup: Setup | Rig, *, arl: float = 1000.0):
         setup = setup if isinstance(setup, Setup) else Setup(setup)
-        checked(setup.rig)
+        check_rig(setup.rig)
         if not (math.isfinite(arl) and arl >= LEAST_ARL):
             raise InputError(f"--arl: expected at least {LEAST_ARL:g} pushes, got {arl:g}")
         self.setup, self.arl = setup, float(arl)

@@ -16,12 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from difffric.diagnosis.candidates import Scales
 from difffric.rig.catalogue import CONTACT, FORCE, FRICTION, PROBE, PUSHER
 from difffric.rig.contact import ContactEffect
 from difffric.rig.friction import FrictionEffect
 from difffric.rig.pusher import PusherEffect
 from difffric.rig.rig import Rig
+from difffric.rig.scales import Scales
 from difffric.rig.sensors import ForceEffect, ProbeEffect
 
 SPLINES = 8

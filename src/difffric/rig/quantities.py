@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from decimal import Decimal
 from operator import attrgetter
@@ -14,34 +14,13 @@ import numpy as np
 from difffric import units
 from difffric.rig import catalogue
 from difffric.rig.catalogue import CATALOGUE, Effect, Key
-from difffric.rig.friction import innermost
+from difffric.rig.contact import UnilateralSpringDamper
+from difffric.rig.friction import ViscousCoulomb, innermost
 from difffric.rig.parameters import RIG_PARAMETERS
+from difffric.rig.pusher import ConstantSpeed
 from difffric.rig.rig import Rig
-
-
-@dataclass(frozen=True)
-class Range:
-    """What a number may be; besides, it must be finite, unless it may be infinite."""
-
-    words: str
-    holds: Callable[[Any], Any]
-    infinite: bool = False
-
-    def allows(self, x) -> Any:
-        """Whether a number, or each of an array, is in it."""
-        return self.holds(x) & (np.isfinite(x) | self.infinite)
-
-    def expected(self, found) -> str:
-        """The range in words, for a message on what was found instead."""
-        finite = "finite " if np.isinf(found) and not self.infinite else ""
-        return f"expected a {finite}number {self.words}".rstrip()
-
-
-ANY = Range("", lambda x: x == x)
-NOT_NEGATIVE = Range(">= 0", lambda x: x >= 0)
-POSITIVE = Range("> 0", lambda x: x > 0)
-RATIO = Range("> 0 and <= 1", lambda x: (x > 0) & (x <= 1))
-SCATTER = Range(">= 0 and < 1", lambda x: (x >= 0) & (x < 1))
+from difffric.rig.sensors import ForceSensor, Probe
+from difffric.value_ranges import NOT_NEGATIVE, POSITIVE, RATIO, SCATTER, Range
 
 
 @dataclass(frozen=True)
@@ -227,3 +206,19 @@ def effects_of(rig: Rig) -> list[str]:
     """The effects that a rig has, in the catalogue's order."""
     kinds = {type(law) for part in COMPONENTS for law in layers(getattr(rig, part))}
     return [effect.id for effect in CATALOGUE.values() if effect.law in kinds]
+
+
+PLAIN_LAWS = {
+    "friction": ViscousCoulomb,
+    "contact": UnilateralSpringDamper,
+    "pusher": ConstantSpeed,
+    "force_sensor": ForceSensor,
+    "probe": Probe,
+}
+"""Component -> the law that the file's numbers are of; effects stand around it."""
+
+
+def has_plain_law(rig: Rig, section: str) -> bool:
+    """Whether the rig's law of a table's component is the one that the file can say."""
+    kind = PLAIN_LAWS.get(section)
+    return kind is None or isinstance(innermost(getattr(rig, section)), kind)

@@ -13,7 +13,7 @@ from difffric.compute.program_cache import kept
 from difffric.errors import InputError
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
-from difffric.rig.setup import checked
+from difffric.rig.setup import check_rig
 from difffric.simulation.observables import Observables, marched, observables
 from difffric.simulation.segments import (
     CLOSING,
@@ -178,7 +178,7 @@ def simulate(
     rig = parameters.with_values(rig, {k: v for k, v in given.items() if v is not None})
     if stroke is not None:
         rig = parameters.with_stroke(rig, stroke)
-    checked(rig)
+    check_rig(rig)
     if not isinstance(velocity, Tracer):
         if isinstance(velocity, str) or np.ndim(velocity) != 0:
             raise InputError(

@@ -400,7 +400,7 @@ def test_the_command_records_the_pushes_that_the_model_makes(run, tmp_path):
             rig, push["velocity_m_per_s"], stroke=2e-3, mu_s=push["simulated"]["mu_s"]
         )
         assert push["simulated"]["peak_force_N"] == pytest.approx(float(trace.peak_force), rel=1e-6)
-        force = recording.in_newtons(rig.force_sensor).force
+        force = recording.in_newtons(rig.force_sensor.sensitivity).force
         assert force.n == push["samples"]
         for channel, model, sigma in (
             (force, trace.force(force.time), 0.5),

@@ -19,7 +19,7 @@ from difffric.commands.reports.acquire import Run, acquire_answer, acquire_repor
 from difffric.errors import DiskError
 from difffric.measurements.files import tdms_writer
 from difffric.measurements.files.tdms_reader import read_recordings
-from difffric.rig.setup import read_setup
+from difffric.rig.setup_toml import read_setup
 from fpga.emulator.emulator import emulated_card
 from studies.acquisition_kills import kills
 from studies.acquisition_rate import answered

@@ -16,7 +16,8 @@ from difffric.diagnosis.alternatives import alternatives
 from difffric.diagnosis.exploration import Candidate
 from difffric.diagnosis.misfit import PHASES
 from difffric.diagnosis.shape_scan import within_the_way
-from difffric.rig.setup import Setup, read_setup
+from difffric.rig.setup import Setup
+from difffric.rig.setup_toml import read_setup
 from tests.browser import WIDTHS, browser, faults, needs_chromium
 from tests.hidden import heldout, random_case, write
 from tests.unit.diagnosis.prediction import prediction_error

@@ -21,7 +21,7 @@ from difffric.fleet.archive import find
 from difffric.fleet.columns import friction
 from difffric.fleet.identify_archive import data_set, identify_fleet
 from difffric.identification.estimates import WAYS
-from difffric.rig.setup import read_setup
+from difffric.rig.setup_toml import read_setup
 from studies.fleet import children, kills, tree
 from tests.reference import data, files
 

@@ -19,7 +19,7 @@ from difffric.identification.tabulated_inversion import Curve, _observed
 from difffric.measurements.recordings import Channel, Recording
 from difffric.measurements.reduction.reduce import Reduced
 from difffric.rig import parameters
-from difffric.rig.setup import read_setup
+from difffric.rig.setup_toml import read_setup
 
 COMMAND = Command(0.05, 1.2e-3, 18.9)
 HARDWARE = Hardware(5272, True, 600, 50_000, False, 0, False, True)

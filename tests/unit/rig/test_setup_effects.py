@@ -22,7 +22,8 @@ from difffric.errors import InputError
 from difffric.measurements.pushes import Pushes
 from difffric.rig import catalogue, friction, parameters
 from difffric.rig.rig import spring_damper_rig
-from difffric.rig.setup import Extras, Setup, checked, load_setup, read_setup, write_setup
+from difffric.rig.setup import Extras, Setup, check_rig
+from difffric.rig.setup_toml import load_setup, read_setup, write_setup
 from difffric.simulation.trajectory import simulate
 from tests.unit.rig.test_setup_toml import MINIMAL
 
@@ -360,7 +361,7 @@ def test_good_rigs_pass_unchanged():
         catalogue.universal(PLAIN),
         catalogue.universal(parameters.spread(PLAIN, 3)),
     ):
-        assert checked(rig) is rig
+        assert check_rig(rig) is rig
 
 
 def test_all_values_out_of_range_are_named():
@@ -373,7 +374,7 @@ def test_all_values_out_of_range_are_named():
     }
     rig = catalogue.extended(spring_damper_rig(mass=1.0, mu_s=-0.1, k=1e5, b=0.0), sizes)
     with pytest.raises(InputError) as caught:
-        checked(rig)
+        check_rig(rig)
     assert str(caught.value).splitlines() == [
         "rig.friction.mu_s: expected a number > 0, got -0.1",
         "friction_patch.amplitude: expected a number >= -1, got -2.0 at index 1",
@@ -386,7 +387,7 @@ def test_all_values_out_of_range_are_named():
 
 def test_traced_values_pass():
     def load(alpha):
-        return checked(catalogue.extended(PLAIN, {"tilt": {"alpha_rad": alpha}})).F_N
+        return check_rig(catalogue.extended(PLAIN, {"tilt": {"alpha_rad": alpha}})).F_N
 
     assert jax.grad(load)(0.0) == 0.0
 
@@ -415,19 +416,20 @@ def test_fit_frees_what_the_file_frees_and_the_answer_can_be_written(file, monke
 
     monkeypatch.setattr(calibrate, "best_fit", search)
     speeds = np.linspace(0.02, 0.09, 8)
+    pushes = Pushes(speeds, speeds * 3000, speeds**2)
     with pytest.raises(InputError, match="enough"):
-        calibrate.fit(setup, Pushes(speeds, speeds * 3000, speeds**2))
+        calibrate.fit(setup, pushes)
     (layout,) = seen
     at = layout.names.index("stribeck.v_s_m_per_s")
     assert layout.value(layout.start)["stribeck.v_s_m_per_s"] == pytest.approx(0.02, rel=1e-15)
     assert layout.value(layout.upper)["stribeck.v_s_m_per_s"] == pytest.approx(0.1, rel=1e-15)
 
-    n = layout.n_free
+    n, nothing_searched = layout.n_free, None
     rig = parameters.with_values(setup.rig, {"stribeck.v_s_m_per_s": jnp.asarray(0.03)})
     found = Fit(
         rig, "table", layout.labels, layout.names, layout.start, (), np.eye(n), np.zeros(n),
         np.full(n, 9.0), 0.01, 0.001, np.nan, np.nan, 1.0, 1, True, (1, 1), (), speeds, speeds,
-        speeds, speeds, speeds, setup=setup,
+        speeds, speeds, speeds, nothing_searched, setup, pushes,
     )  # fmt: skip
     write_setup(found.fitted_setup, "setup.toml")
     written = read_setup("setup.toml")

@@ -20,17 +20,11 @@ from difffric import units
 from difffric.errors import InputError
 from difffric.rig.contact import AbstractContact
 from difffric.rig.pusher import ConstantSpeed
+from difffric.rig.quantities import QUANTITIES
 from difffric.rig.rig import Rig, spring_damper_rig
 from difffric.rig.sensors import ForceSensor, Probe
-from difffric.rig.setup import (
-    QUANTITIES,
-    Extras,
-    Setup,
-    checked,
-    load_setup,
-    read_setup,
-    write_setup,
-)
+from difffric.rig.setup import Extras, Setup, check_rig
+from difffric.rig.setup_toml import load_setup, read_setup, write_setup
 
 MINIMAL = """\
 [part]
@@ -603,7 +597,7 @@ def test_a_folder_that_is_not_there(tmp_path):
 
 def test_a_good_rig_passes_unchanged():
     rig = spring_damper_rig(mass=18.9, mu_s=0.141, k=8e5, b=0.0, stroke=2e-3)
-    assert checked(rig) is rig
+    assert check_rig(rig) is rig
 
 
 def test_all_values_out_of_range_are_named():
@@ -611,7 +605,7 @@ def test_all_values_out_of_range_are_named():
         mass=-1, mu_s=0.0, k=math.inf, b=-2.0, mu_k_over_mu_s=1.5, k_v=math.nan, stroke=0.0
     )
     with pytest.raises(InputError) as caught:
-        checked(rig)
+        check_rig(rig)
     assert str(caught.value).splitlines() == [
         "rig.mass: expected a number > 0, got -1",
         "rig.friction.mu_s: expected a number > 0, got 0.0",
@@ -626,32 +620,32 @@ def test_all_values_out_of_range_are_named():
 def test_arrays_are_checked_element_by_element():
     mass = jnp.array([[1.0, 2.0], [3.0, -4.0]])
     with pytest.raises(InputError, match=r"^rig.mass: .* > 0, got -4.0 at index 1, 1$"):
-        checked(spring_damper_rig(mass=mass, mu_s=np.array([0.1, 0.2]), k=1e5, b=0.0))
-    checked(spring_damper_rig(mass=jnp.abs(mass), mu_s=np.array([0.1, 0.2]), k=1e5, b=0.0))
+        check_rig(spring_damper_rig(mass=mass, mu_s=np.array([0.1, 0.2]), k=1e5, b=0.0))
+    check_rig(spring_damper_rig(mass=jnp.abs(mass), mu_s=np.array([0.1, 0.2]), k=1e5, b=0.0))
 
 
 def test_what_is_no_number_is_named():
     with pytest.raises(InputError, match=r"rig.mass: expected a number > 0, got '18.9'"):
-        checked(spring_damper_rig(mass="18.9", mu_s=0.1, k=1e5, b=0.0))
+        check_rig(spring_damper_rig(mass="18.9", mu_s=0.1, k=1e5, b=0.0))
     with pytest.raises(InputError, match=r"rig.friction.k_v: expected a number >= 0, got None"):
-        checked(spring_damper_rig(mass=18.9, mu_s=0.1, k=1e5, b=0.0, k_v=None))
+        check_rig(spring_damper_rig(mass=18.9, mu_s=0.1, k=1e5, b=0.0, k_v=None))
 
 
 def test_a_stroke_may_be_infinite_but_not_nan():
     rig = spring_damper_rig(mass=1.0, mu_s=0.1, k=1e5, b=0.0)
     with_stroke = eqx.tree_at(lambda r: r.pusher, rig, ConstantSpeed(jnp.array([1e-3, jnp.inf])))
-    assert checked(with_stroke) is with_stroke
+    assert check_rig(with_stroke) is with_stroke
     with pytest.raises(InputError, match=r"rig.pusher.stroke: .* got nan"):
-        checked(dataclasses.replace(rig, pusher=ConstantSpeed(math.nan)))
+        check_rig(dataclasses.replace(rig, pusher=ConstantSpeed(math.nan)))
 
 
 def test_other_laws_and_traced_values_pass():
     rig = spring_damper_rig(mass=1.0, mu_s=0.1, k=1e5, b=0.0)
     soft = eqx.tree_at(lambda r: r.contact, rig, SoftPad(-1.0))
-    assert checked(soft) is soft
+    assert check_rig(soft) is soft
 
     def normal_force(mass):
-        return checked(spring_damper_rig(mass=mass, mu_s=0.1, k=1e5, b=0.0)).F_N
+        return check_rig(spring_damper_rig(mass=mass, mu_s=0.1, k=1e5, b=0.0)).F_N
 
     assert jax.jit(normal_force)(-2.0) == -2.0 * units.GRAVITY
     assert jax.grad(normal_force)(1.0) == pytest.approx(units.GRAVITY)

@@ -13,10 +13,11 @@ import numpy as np
 from difffric.acquisition.card import METRES_PER_COUNT, VOLTS_PER_WORD, CardError, CardSession
 from difffric.acquisition.recorder import Acquired, Command, acquire, troubles
 from difffric.commands.live_view import LivePlot, LiveView, notes
-from difffric.commands.reports.page import Picture, Report, Section, Table, number, rounded
+from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.errors import InputError
 from difffric.identification.live import LiveIdentifier, LivePush
 from difffric.measurements.recordings import Recording
+from difffric.number_text import format_number, format_pair
 from difffric.rig.setup import Setup
 from difffric.units import from_mm, from_mm_min, to_mm, to_mm_min, to_um
 
@@ -80,7 +81,7 @@ def record(
             view.add(acquired, one)
             if acquired.samples == 0:
                 return
-            shown = recording.in_newtons(setup.rig.force_sensor) if setup else recording
+            shown = recording.in_newtons(setup.rig.force_sensor.sensitivity) if setup else recording
             if len(first) < 2:
                 first.append(shown)
             if drawn:
@@ -226,16 +227,16 @@ def _recorded(answer: dict) -> Table:
     for push in answer["pushes"]:
         row = [
             push["name"],
-            number(to_mm_min(push["velocity_m_per_s"]), 6),
-            number(to_mm(push["stroke_m"])),
+            format_number(to_mm_min(push["velocity_m_per_s"]), 6),
+            format_number(to_mm(push["stroke_m"])),
             str(push["samples"]),
             str(push["lost_samples"]),
         ]
         if answer["simulated"]:
             true = push["simulated"]
             d = true["sliding_distance_m"]
-            row += [number(true["mu_s"]), number(true["peak_force_N"], 5)]
-            row.append(number(None if d is None else to_um(d), 5))
+            row += [format_number(true["mu_s"]), format_number(true["peak_force_N"], 5)]
+            row.append(format_number(None if d is None else to_um(d), 5))
         rows.append(row)
     caption = "What was recorded" + (", and the truth behind it" if answer["simulated"] else "")
     return Table(caption, columns, rows)
@@ -247,11 +248,11 @@ def _friction(answer: dict) -> Table:
         F_p, d = push["peak_force_N"], push["sliding_distance_m"]
         row = [push["name"], _shown(F_p), _shown(d and {k: to_um(x) for k, x in d.items()})]
         row += [_shown(push[way]) for way in _WAYS]
-        rows.append([*row, number(1e3 * push["answered_after_s"], 3)])
+        rows.append([*row, format_number(1e3 * push["answered_after_s"], 3)])
     columns = ("push", "F_p [N]", "d [µm]", "force", "distance", "(7)", "optimal", "after [ms]")
     return Table("mu_s of each push, as soon as it had ended", columns, rows)
 
 
 def _shown(estimate: Mapping | None) -> str:
-    value, error = rounded(*(estimate or {"value": None, "standard_error": None}).values())
+    value, error = format_pair(*(estimate or {"value": None, "standard_error": None}).values())
     return value if error == "–" else f"{value} ± {error}"

@@ -5,10 +5,11 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from difffric.commands.reports.page import Picture, Report, Section, Table, number
+from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.diagnosis.misfit import told
 from difffric.diagnosis.verdict import ADEQUATE, AMBIGUOUS, NAMED, Cause, Diagnosis
-from difffric.rig.setup import write_setup
+from difffric.number_text import format_number
+from difffric.rig.setup_toml import write_setup
 from difffric.units import to_mm, to_mm_min, to_um
 
 _VERDICTS = {
@@ -29,7 +30,7 @@ def setup_file_of(found: Diagnosis) -> bytes:
 
 def _sizes(cause: Cause) -> str:
     return "; ".join(
-        f"{name} = {number(value)} ± {number(error, 2)}"
+        f"{name} = {format_number(value)} ± {format_number(error, 2)}"
         for name, (value, error) in cause.parameters.items()
     )
 
@@ -43,9 +44,9 @@ def _row(cause: Cause) -> list[str]:
         cause.id,
         cause.component,
         _sizes(cause),
-        number(cause.probability, 3),
+        format_number(cause.probability, 3),
         ", ".join(cause.confusable_with) or "–",
-        number(cause.chi2_drop),
+        format_number(cause.chi2_drop),
         f"{_share(cause.change_peak_force)}, {_share(cause.change_sliding_distance)}",
     ]
 
@@ -68,9 +69,9 @@ def considered_table(found: Diagnosis, gain: str = "gain held out") -> Table:
             cause.id,
             cause.component,
             _sizes(cause),
-            number(cause.chi2_drop),
-            number(cause.heldout_gain, 3),
-            number(cause.p_value, 2),
+            format_number(cause.chi2_drop),
+            format_number(cause.heldout_gain, 3),
+            format_number(cause.p_value, 2),
         ]
         for cause in found.considered
     ]
@@ -83,11 +84,11 @@ def experiment_table(found: Diagnosis) -> Table:
     rows = [
         [
             " or ".join(x if x != "plain" else "nothing" for x in one.separates),
-            number(to_mm_min(one.velocity_m_per_s)),
-            number(one.mass_kg, 3),
-            "–" if one.stroke_m is None else number(to_mm(one.stroke_m), 3),
-            number(one.rest_before_s, 3),
-            number(one.separation, 2),
+            format_number(to_mm_min(one.velocity_m_per_s)),
+            format_number(one.mass_kg, 3),
+            "–" if one.stroke_m is None else format_number(to_mm(one.stroke_m), 3),
+            format_number(one.rest_before_s, 3),
+            format_number(one.separation, 2),
         ]
         for one in found.experiments
     ]
@@ -102,8 +103,8 @@ def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
     summary = [_VERDICTS.get(found.verdict, _UNEXPLAINED)]
     summary += [f"{cause.id}: {cause.text}." for cause in found.causes]
     summary.append(
-        f"Error on held-out pushes, in units of the noise: {number(g.before, 3)} before, "
-        f"{number(g.after, 3)} after ({number(g.noise_floor, 3)} is perfect)."
+        f"Error on held-out pushes, in units of the noise: {format_number(g.before, 3)} before, "
+        f"{format_number(g.after, 3)} after ({format_number(g.noise_floor, 3)} is perfect)."
     )
     if found.location:
         where = found.location
@@ -112,7 +113,7 @@ def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
             f"{where.quantity} explains {100 * where.explained[where.form]:.0f} % of it."
         )
     if found.causes:
-        moved = number(100 * found.causes[0].change_mu_s, 2)
+        moved = format_number(100 * found.causes[0].change_mu_s, 2)
         summary.append(f"The identified mu_s changes by {moved} % (rms over the pushes).")
     sections = []
     if found.causes:
@@ -129,8 +130,8 @@ def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
         sections.append(Section("What was considered", tables=(considered_table(found),)))
     if found.certificates:
         rows = [
-            [str(x.push + 1), number(to_mm_min(x.velocity_m_per_s)),
-             number(to_um(x.sliding_distance_m)), number(to_um(x.bound_m))]
+            [str(x.push + 1), format_number(to_mm_min(x.velocity_m_per_s)),
+             format_number(to_um(x.sliding_distance_m)), format_number(to_um(x.bound_m))]
             for x in found.certificates
         ]  # fmt: skip
         table = Table("Distances that no k, b and k_v give", ("push", "v [mm/min]", "d [µm]",

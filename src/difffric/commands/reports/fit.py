@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from difffric.calibration.comparison import (
     FittedPushes,
-    chi2_per_sample,
     fitted_pushes,
     fitted_trace,
 )
@@ -21,17 +20,15 @@ from difffric.calibration.optimal_push import NextPush, next_push
 from difffric.calibration.profiles import Profile
 from difffric.calibration.profiles import profile as profiled
 from difffric.calibration.result import Fit
-from difffric.commands.reports.page import Picture, Report, Section, Table, number, rounded
+from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.errors import InputError
-from difffric.rig.setup import write_setup
+from difffric.number_text import format_number, format_pair
+from difffric.progress import Tell, silent
+from difffric.rig.setup_toml import write_setup
 from difffric.units import to_mm_min, to_um
 
 SHOWN = 4
 """Recordings whose traces are drawn."""
-
-
-def _silent(what: str, share: float) -> None:
-    """Progress that nobody asked for."""
 
 
 @dataclass(frozen=True)
@@ -52,13 +49,12 @@ class Answer:
     @classmethod
     def of(cls, fit: Fit) -> Answer:
         """The fit beside the pushes that it was fitted to."""
-        assert fit.pushes is not None
         return cls(fit, fitted_pushes(fit, fit.pushes), order_of(fit.pushes.order), fit.push_names)
 
     def as_dict(self) -> dict:
         """As result.json holds it: what the fit gives, and more of each push."""
         answer, b = self.fit.as_dict(), self.beside
-        chi2 = chi2_per_sample(self.fit)
+        chi2 = self.fit.chi2_per_sample
         speed = "release_velocity_m_per_s" if self.fit.kind == "slides" else "velocity_m_per_s"
         answer["pushes"] = [
             {
@@ -81,7 +77,7 @@ class Answer:
         return answer
 
 
-def with_more(answer: Answer, profile: bool, push: bool, tell=_silent) -> Answer:
+def with_more(answer: Answer, profile: bool, push: bool, tell: Tell = silent) -> Answer:
     """The answer with profiles, and with the next push to make, where they are asked for."""
     if profile:
         answer = replace(answer, profiles=profiled(answer.fit, tell=tell))
@@ -164,7 +160,7 @@ def _summary(fit: Fit) -> list[str]:
         ("Converged" if fit.converged else "Did NOT converge") + starts + ".",
     ]
     if "mu_s" in fit.names:
-        value, error = rounded(100 * fit.scatter, 100 * fit.scatter_se)
+        value, error = format_pair(100 * fit.scatter, 100 * fit.scatter_se)
         error = " (not estimated)" if error == "–" else f" ± {error}"
         lines.append(f"mu_s scatters from push to push by {value}{error} %.")
     lines += [f"Not determined: {', '.join(x['parameters'])}." for x in fit.not_identifiable]
@@ -178,13 +174,15 @@ def _parameters(fit: Fit) -> Table:
     rows = []
     for label in fit.free:
         value, error = fit.value(label), fit.standard_error(label)
-        shown, se = rounded(value, error)
+        shown, se = format_pair(value, error)
         interval, scaled = fit.interval(label), fit.standard_error(label, scaled=True)
         relative = _percent(error, value)
         ends = "–"
         if interval is not None:
-            ends = " … ".join(rounded(x, error)[0] for x in interval)
-        rows.append([label, shown, se if error else "at bound", relative, ends, number(scaled, 3)])
+            ends = " … ".join(format_pair(x, error)[0] for x in interval)
+        rows.append(
+            [label, shown, se if error else "at bound", relative, ends, format_number(scaled, 3)]
+        )
     columns = ("SI units", "value", "± s.e.", "%", "95 % interval", "s.e. scaled")
     spreads = [
         ("mu_s_scatter", fit.scatter, fit.scatter_se),
@@ -193,7 +191,7 @@ def _parameters(fit: Fit) -> Table:
     ]
     for name, value, error in spreads:
         if math.isfinite(value) and (name != "mu_s_scatter" or "mu_s" in fit.names):
-            rows.append([name, *rounded(value, error), _percent(error, value), "–", "–"])
+            rows.append([name, *format_pair(value, error), _percent(error, value), "–", "–"])
     return Table("Parameters", columns, rows)
 
 
@@ -236,22 +234,22 @@ def _residuals_in_words(fit: Fit) -> str:
 
 def _pushes(answer: Answer) -> Table:
     fit, b = answer.fit, answer.beside
-    chi2 = chi2_per_sample(fit)
+    chi2 = fit.chi2_per_sample
     rows = []
     for i, condition in enumerate(fit.conditions):
         row = [
             answer.names[i] if answer.names else f"{answer.order[i]:g}",
-            number(to_mm_min(b.velocity[i]), 5),
+            format_number(to_mm_min(b.velocity[i]), 5),
             condition or "–",
-            " ± ".join(rounded(fit.mu_s[i], fit.mu_s_se[i])),
+            " ± ".join(format_pair(fit.mu_s[i], fit.mu_s_se[i])),
         ]
         if fit.kind != "slides":
             row += [
-                number(b.measured[0, i], 5), number(b.model[0, i], 5),
+                format_number(b.measured[0, i], 5), format_number(b.model[0, i], 5),
                 f"{b.residual[0, i]:+.1f}" if np.isfinite(b.residual[0, i]) else "–",
             ]  # fmt: skip
         row += [
-            number(to_um(b.measured[1, i]), 6), number(to_um(b.model[1, i]), 6),
+            format_number(to_um(b.measured[1, i]), 6), format_number(to_um(b.model[1, i]), 6),
             f"{b.residual[1, i]:+.1f}" if np.isfinite(b.residual[1, i]) else "–",
         ]  # fmt: skip
         if chi2 is not None:
@@ -273,7 +271,7 @@ def _noise(fit: Fit) -> Table:
     for name, noise in fit.noise.items():
         scale, unit = units.get(name, (1.0, ""))
         colour = "white" if noise["correlation"] < 0.02 else f"AR(1), {noise['correlation']:.3f}"
-        rows.append([name, number(scale * noise["standard_deviation"], 4, unit), colour])
+        rows.append([name, format_number(scale * noise["standard_deviation"], 4, unit), colour])
     return Table("Noise of a sample", ("", "standard deviation", "colour"), rows)
 
 
@@ -323,9 +321,9 @@ def _profile_section(answer: Answer, pictures: bool) -> Section:
     rows = []
     for label, one in answer.profiles.items():
         error = answer.fit.standard_error(label)
-        row = [label, rounded(one.value, error)[0]]
+        row = [label, format_pair(one.value, error)[0]]
         for ends in one.intervals.values():
-            row.append(" … ".join("open" if x is None else rounded(x, error)[0] for x in ends))
+            row.append(" … ".join("open" if x is None else format_pair(x, error)[0] for x in ends))
         why = [f"{s}: {r}" for s, r in zip(("lower", "upper"), one.reasons, strict=True) if r]
         rows.append([*row, "; ".join([*why, *([one.note] if one.note else [])])])
     levels = next(iter(answer.profiles.values())).intervals
@@ -362,6 +360,8 @@ def _next_section(answer: Answer) -> Section:
     if best is None:
         return Section("Next push", text)
     text += [f"Note: {note}." for note in best.notes]
-    rows = [[x, number(se, 3), number(best.after[x], 3)] for x, se in best.before.items()]
+    rows = [
+        [x, format_number(se, 3), format_number(best.after[x], 3)] for x, se in best.before.items()
+    ]
     table = Table("Next push: standard errors [SI]", ("", "now", "with this push"), rows)
     return Section("Next push", text, [table])

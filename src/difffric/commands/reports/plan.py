@@ -10,8 +10,9 @@ import numpy as np
 from difffric.centering.planning import SCATTER, Known, Plan, Step
 from difffric.centering.ring import Ring, measure
 from difffric.centering.ring_csv import load_ring
-from difffric.commands.reports.page import Picture, Report, Section, Table, number
+from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.errors import InputError
+from difffric.number_text import format_number
 from difffric.rig import parameters
 from difffric.rig.setup import Extras, Setup
 from difffric.units import from_mm, from_um, to_mm, to_mm_min, to_um
@@ -137,17 +138,19 @@ def plan_report(
     rows = [
         [
             str(i),
-            number(to_mm_min(s.velocity), 4),
-            number(to_um(s.stroke), 6),
-            number(to_um(s.aim), 5),
-            number(to_um(s.deviations["all"]), 3),
+            format_number(to_mm_min(s.velocity), 4),
+            format_number(to_um(s.stroke), 6),
+            format_number(to_um(s.aim), 5),
+            format_number(to_um(s.deviations["all"]), 3),
             f"{s.probability:.4f}",
-            number(s.duration, 3),
+            format_number(s.duration, 3),
         ]
         for i, s in enumerate(found.steps, 1)
     ]
     columns = ("push", "mm/min", "stroke [µm]", "aim [µm]", "spread [µm]", "lands", "time [s]")
-    spread = [[_source(k), number(to_um(v), 3)] for k, v in step.deviations.items() if k != "all"]
+    spread = [
+        [_source(k), format_number(to_um(v), 3)] for k, v in step.deviations.items() if k != "all"
+    ]
     tables = [
         Table("Pushes; those after the first are what is likely then", columns, rows),
         Table("What spreads the first push's landing", ("source", "[µm]"), spread),

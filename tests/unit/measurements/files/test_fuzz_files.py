@@ -15,7 +15,7 @@ from difffric.errors import InputError
 from difffric.measurements.files.table_csv import read_table
 from difffric.measurements.files.tdms_reader import CHANNELS, read_recordings
 from difffric.measurements.quantities import QUANTITIES
-from difffric.rig.setup import read_setup
+from difffric.rig.setup_toml import read_setup
 from tests.unit.rig.test_setup_toml import FULL
 
 SHARED = settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -7,48 +7,12 @@ wavelength, a place) have none: there the search starts from a grid of values in
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from difffric.rig import catalogue
-from difffric.rig.catalogue import CATALOGUE, RATIO
+from difffric.rig.catalogue import CATALOGUE, numbers_of
+from difffric.rig.scales import Scales
 from difffric.units import GRAVITY
-
-
-@dataclass(frozen=True)
-class Scales:
-    """What pushes are like: the scales on which effects would show."""
-
-    mass: float
-    mu_s: float
-    fastest: float
-    """[m/s]"""
-    slowest: float
-    peak: float
-    """largest force [N]"""
-    reach: float
-    """how far the part gets [m]"""
-    travel: float
-    """how far the tip does, about [m]"""
-    compression: float
-    """of the contact at the peak [m]"""
-    ways: NDArray
-    """(n,) how far the part gets in each push, about [m]"""
-
-
-def numbers_of(effect: str) -> tuple[str, ...]:
-    """The parameters of an effect that a fit moves, as `parameters` names them."""
-    if effect == RATIO:
-        return ("mu_k_over_mu_s",)
-    return tuple(f"{effect}.{key.name}" for key in CATALOGUE[effect].keys if not key.fixed)
-
-
-def component_of(effect: str) -> str:
-    """The component that an effect belongs to."""
-    return catalogue.FRICTION if effect == RATIO else CATALOGUE[effect].component
-
 
 LOCAL = {
     "tilt", "normal_force", "friction_drift", "quadratic_drag", "static_dwell", "friction_ratio",
