@@ -124,7 +124,7 @@ def run_case(kind: str, case: int) -> dict:
         "notes": list(fit.notes),
         "chi2": fit.chi2,
         "degrees_of_freedom": fit.degrees_of_freedom,
-        "misfit": misfit(fit.work[-1]),
+        "misfit": misfit(fit.state.at),
         "own_mu_s_z": ((fit.mu_s - own) / fit.mu_s_se).tolist(),
     }
     other = from_truth(fit, rig, own)
@@ -138,7 +138,7 @@ def from_truth(fit, rig: reference.Rig, own: np.ndarray):
     import difffric as df
     from difffric.estimation import coordinates, mixed_fit
 
-    model, data, _ = fit.work
+    model, data = fit.state.model, fit.state.data
     true = true_values(rig)
     theta = np.array([coordinates.to_coordinate(x, true[x]) for x in figures.LABELS])
     at = replace(

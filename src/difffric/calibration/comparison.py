@@ -51,7 +51,7 @@ class FittedTrace:
 
 def fitted_pushes(fit: Fit, pushes: Pushes) -> FittedPushes:
     """The fit beside the F_p and d that were measured, of the same pushes in the same order."""
-    _, data, at = fit.work
+    data, at = fit.state.data, fit.state.at
     measured = np.stack([pushes.peak_force, pushes.sliding_distance])
     fitted = np.stack([fit.peak_force, fit.sliding_distance])
     own = np.stack([pushes.peak_force_se, pushes.sliding_distance_se])
@@ -74,7 +74,7 @@ def fitted_pushes(fit: Fit, pushes: Pushes) -> FittedPushes:
 
 def _rig_of(fit: Fit, i: int) -> tuple[Rig, float]:
     """The rig of push i as it was fitted, with its own mu_s, and its start offset [s]."""
-    model, data, at = fit.work
+    model, data, at = fit.state.model, fit.state.data, fit.state.at
     c = model.layout.fixed[i] + model.layout.selection[i] @ at.theta
     c[0] += at.s_eta[i]  # mu_s is the first coordinate
     rig = rig_at(model.rig, jnp.asarray(c))
@@ -85,7 +85,7 @@ def _rig_of(fit: Fit, i: int) -> tuple[Rig, float]:
 
 def fitted_trace(fit: Fit, i: int) -> dict[str, FittedTrace]:
     """`force` and `position` of push i of a fit of recordings, those that were recorded."""
-    _, data, _ = fit.work
+    data = fit.state.data
     rig, offset = _rig_of(fit, i)
     push = simulate(rig, float(data.pushes.velocity[i]))
     rows = data.weights.shape[1] // 2
@@ -116,9 +116,8 @@ def fitted_trace(fit: Fit, i: int) -> dict[str, FittedTrace]:
 def fitted_family(fit: Fit, condition: str, speeds: NDArray) -> Family | None:
     """The calibrated F_p and d of a condition over speeds (n,) [m/s], at its mean mu_s and one
     scatter below and above; None where its pushes differ in mass or stroke, or none was made."""
-    _, data, _ = fit.work
     mine = [i for i, c in enumerate(fit.conditions) if c == condition]
-    if data.kind == SLIDES:
+    if fit.kind == SLIDES:
         return None
     rigs = [_rig_of(fit, i)[0] for i in mine]
     if np.ptp([float(r.mass) for r in rigs]) > 0 or len({_stroke(r) for r in rigs}) > 1:
@@ -131,13 +130,3 @@ def fitted_family(fit: Fit, condition: str, speeds: NDArray) -> Family | None:
 
 def _stroke(rig: Rig) -> float:
     return np.inf if rig.pusher.stroke is None else float(rig.pusher.stroke)
-
-
-def chi2_per_sample(fit: Fit) -> NDArray | None:
-    """(n,) each recording's squared residuals per sample, in units of the noise: 1 is perfect;
-    None for other data."""
-    _, data, at = fit.work
-    if data.kind != RECORDINGS:
-        return None
-    r = data.weights * np.asarray(at.end.rows)[: data.n, :, -1]
-    return (r**2).sum(axis=1) / data.samples_of

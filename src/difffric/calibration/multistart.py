@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
 
@@ -25,8 +24,8 @@ from difffric.estimation.mixed_fit import (
     unstuck,
 )
 from difffric.estimation.stacked_data import TABLE, FitData
+from difffric.progress import Tell
 
-Tell = Callable[[str, float], None]
 Ends = list[tuple[float, Settled, int]]
 """Different ends of a search, the best first: chi-square, point, how many starts lead there."""
 

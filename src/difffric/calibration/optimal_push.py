@@ -119,9 +119,9 @@ def next_push(
     condition, speeds or masses that are not positive, and
     where no candidate is left.
     """
-    if fit.work is None or fit.kind == SLIDES:
+    if fit.kind == SLIDES:
         raise InputError("next_push: expected a fit of pushes (a table or recordings)")
-    model, data, at = fit.work
+    model, data, at = fit.state.model, fit.state.data, fit.state.at
     keep = [j for j, label in enumerate(fit.free) if label not in fit.held]
     labels = [fit.free[j] for j in keep]
     if target is not None and target not in labels:

@@ -9,7 +9,7 @@ Source: W. Q. Meeker and L. A. Escobar, The American Statistician 49 (1995) 48-5
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -30,6 +30,7 @@ from difffric.estimation.mixed_fit import (
     unstuck,
 )
 from difffric.estimation.stacked_data import RECORDINGS
+from difffric.progress import Tell, silent
 
 FARTHEST = 7.0
 """How far a side is followed [coordinate: a factor e^7; 70 N s/m of k_v, or some of its error
@@ -95,15 +96,11 @@ class Profile:
         return "\n".join(lines + ([f"    note: {self.note}"] if self.note else []))
 
 
-def _silent(what: str, share: float) -> None:
-    """Progress that nobody asked for."""
-
-
 def profile(
     fit: Fit,
     labels: Sequence[str] | None = None,
     levels: Sequence[float] = LEVELS,
-    tell: Callable[[str, float], None] = _silent,
+    tell: Tell = silent,
 ) -> dict[str, Profile]:
     """Profile-likelihood intervals of some free parameters (default: all), by label.
 
@@ -111,8 +108,8 @@ def profile(
     `FARTHEST` from the estimate. A parameter at its bound has a one-sided profile.
     `tell(what, share done)` hears of the progress.
 
-    Raises `InputError` for an unknown label, for a level outside (0, 1) and for a fit that does
-    not hold its own state; `NumericalError` where the misfit at the fit itself is not finite.
+    Raises `InputError` for an unknown label and for a level outside (0, 1); `NumericalError`
+    where the misfit at the fit itself is not finite.
     """
     chosen = fit.free if labels is None else tuple(labels)
     unknown = [x for x in chosen if x not in fit.free]
@@ -124,8 +121,6 @@ def profile(
     wrong = [x for x in levels if not 0 < x < 1]
     if wrong or not len(levels):
         raise InputError(f"profile: levels are {list(levels)}: expected numbers between 0 and 1")
-    if fit.work is None:
-        raise InputError("profile: this fit holds no state of its own; expected one from `fit`")
     out = {}
     for i, label in enumerate(chosen):
         tell(f"profile of {label}", i / len(chosen))
@@ -139,7 +134,7 @@ class _Path:
 
     def __init__(self, fit: Fit, label: str):
         self.fit, self.label = fit, label
-        self.model, self.data, at = fit.work
+        self.model, self.data, at = fit.state.model, fit.state.data, fit.state.at
         self.j = fit.index(label)
         self.trust = 1e3 if self.data.kind == RECORDINGS else 30.0
         self.start = float(at.theta[self.j])
@@ -342,7 +337,7 @@ class _Path:
 def _slopes(fit: Fit, at: Settled, j: int) -> tuple[NDArray, NDArray]:
     """How the others go along with parameter j where the model is linear: d theta (free,) and
     d s_eta (n,) for a unit of its coordinate."""
-    model, data, _ = fit.work
+    model, data = fit.state.model, fit.state.data
     along = np.zeros(len(at.theta))
     if fit.covariance[j, j] > 0:
         along = fit.covariance[:, j] / fit.covariance[j, j]

@@ -9,7 +9,7 @@ from threading import Thread
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.calibration.multistart import ALIKE, FACTORS, REFINED, Tell, descents, first_search
+from difffric.calibration.multistart import ALIKE, FACTORS, REFINED, descents, first_search
 from difffric.calibration.table_starts import fit_of_forces, other_branches
 from difffric.errors import InputError, NumericalError
 from difffric.estimation import coordinates
@@ -32,6 +32,7 @@ from difffric.estimation.stacked_data import (
 )
 from difffric.measurements.noise import Noise
 from difffric.measurements.reduction.reduce import Reduction
+from difffric.progress import Tell
 from difffric.rig import parameters
 
 _LOOSE = 1e-5

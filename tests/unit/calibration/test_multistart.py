@@ -41,7 +41,7 @@ def test_where_the_model_is_smooth_the_linear_likelihood_is_the_integral():
     fast = [p for p in reference.make_pushes(rig, rng) if p.velocity > 0.03]
     rough = df.spring_damper_rig(mass=rig.m, mu_s=0.16, k=7e5, b=1800.0, k_v=5.0)
     fit = df.fit(rough, df.Pushes(**reference.measure(fast, rng)))
-    model, data, at = fit.work
+    model, data, at = fit.state.model, fit.state.data, fit.state.at
     assert data.n >= 5 and at.scatter > 0.005
     rows = np.asarray(at.end.rows)[: data.n] * at.weights[..., None]
     z, r = rows[..., 0], rows[..., -1]
@@ -70,7 +70,7 @@ def test_a_search_that_few_starts_agree_in_goes_on_elsewhere(case):
     fit = df.fit(study.as_library(guess), data)
     truth = study.from_truth(fit, rig, np.array([p.mu_s for p in pushes]))
     assert truth is not None
-    model, measured, at = fit.work
+    model, measured, at = fit.state.model, fit.state.data, fit.state.at
     reached = minus_2_log_likelihood(model, measured, at)
     assert reached < minus_2_log_likelihood(model, measured, truth) + 0.1
 
