@@ -270,6 +270,18 @@ GIVEN: dict[str, tuple[Effect, str]] = {
 """What each push's record says of an effect, `id.field`."""
 
 
+def numbers_of(effect: str) -> tuple[str, ...]:
+    """The parameters of an effect that a fit moves, as `parameters` names them."""
+    if effect == RATIO:
+        return ("mu_k_over_mu_s",)
+    return tuple(f"{effect}.{key.name}" for key in CATALOGUE[effect].keys if not key.fixed)
+
+
+def component_of(effect: str) -> str:
+    """The component that an effect belongs to."""
+    return FRICTION if effect == RATIO else CATALOGUE[effect].component
+
+
 def parameter_names(rig: Rig) -> tuple[str, ...]:
     """The parameters of the effects that the rig has, in the catalogue's order."""
     return tuple(name for name, (effect, _) in KEYS.items() if _found(rig, effect) is not None)
