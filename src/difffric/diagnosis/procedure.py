@@ -14,6 +14,7 @@ from threading import Thread
 import numpy as np
 from numpy.typing import NDArray
 
+from difffric.compute.precision import require_float64
 from difffric.diagnosis import exploration as search
 from difffric.diagnosis.alternatives import alternatives
 from difffric.diagnosis.candidates import LOCAL
@@ -36,7 +37,7 @@ from difffric.diagnosis.verdict import (
     Diagnosis,
     Gain,
 )
-from difffric.errors import InputError, NumericalError, require_float64
+from difffric.errors import InputError, NumericalError
 from difffric.estimation import ensemble as en
 from difffric.estimation import ensemble_refits
 from difffric.estimation.ensemble import Fits

@@ -16,7 +16,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from difffric.calibration.calibrate import rigs_of
-from difffric.errors import require_float64
+from difffric.compute.precision import require_float64
 from difffric.estimation.coordinates import LINEAR
 from difffric.estimation.stacked_data import sensor_errors
 from difffric.identification.estimators import (

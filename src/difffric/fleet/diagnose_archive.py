@@ -12,9 +12,10 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
+from difffric.compute.precision import require_float64
 from difffric.diagnosis.procedure import NEGLIGIBLE, PUSH, SPEED
 from difffric.diagnosis.shape_scan import SHAPED
-from difffric.errors import InputError, require_float64
+from difffric.errors import InputError
 from difffric.estimation.extended_model import PRESLIDING
 from difffric.fleet.archive import Source, find
 from difffric.fleet.identify_archive import escaped, setups_of

@@ -16,7 +16,8 @@ import numpy as np
 
 from difffric.compute.bracketed_newton import solve
 from difffric.compute.native import in_one_piece
-from difffric.errors import InputError, require_float64
+from difffric.compute.precision import require_float64
+from difffric.errors import InputError
 from difffric.identification.inversion import BRACKET
 from difffric.rig.rig import Rig
 

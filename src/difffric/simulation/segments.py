@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from difffric.errors import require_float64
+from difffric.compute.precision import require_float64
 from difffric.rig.rig import Rig
 from difffric.simulation.closed_form import ClosedForm
 from difffric.simulation.dynamics import CLOSING, FREE, REBOUNDING, STUCK
