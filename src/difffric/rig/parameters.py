@@ -17,9 +17,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
-import numpy as np
 
 from difffric.errors import InputError
 from difffric.rig import catalogue
@@ -179,7 +176,8 @@ OF_LAWS = tuple(row.name for row in _OF_LAWS if row.component != PART)
 it."""
 
 FREE = tuple(
-    row.name for row in sorted((row for row in _OF_LAWS if row.free is not None), key=lambda r: r.free or 0)
+    row.name
+    for row in sorted((row for row in _OF_LAWS if row.free is not None), key=lambda r: r.free or 0)
 )
 """What a calibration determines unless told otherwise, in the order of its results."""
 
@@ -275,27 +273,3 @@ def _place(name: str) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
 def with_stroke(rig: Rig, stroke: Any) -> Rig:
     """The rig whose pusher stops after `stroke` [m]; None: at the first loss of contact."""
     return eqx.tree_at(lambda r: innermost(r.pusher), rig, ConstantSpeed(stroke))
-
-def as_arrays(tree: Any) -> Any:
-    """A rig (or what holds one) with every number an array, so that one compiled program serves
-    all rigs."""
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), tree)
-
-
-def spread(rig: Rig, n: int) -> Rig:
-    """n copies of a rig in one, every number a NumPy array of that length, to be vmapped over."""
-
-    def copies(leaf):
-        return np.broadcast_to(np.asarray(leaf, float), (n,))
-
-    return jax.tree.map(copies, rig)
-
-
-def pick(tree: Any, index) -> Any:
-    """Some entries of spread rigs (or of any tree of arrays), by an array of indices."""
-
-    def entries(leaf):
-        # NumPy's own stay so: to index one of JAX's takes a hundred times as long.
-        return (leaf if isinstance(leaf, np.ndarray) else jnp.asarray(leaf))[index]
-
-    return jax.tree.map(entries, tree)

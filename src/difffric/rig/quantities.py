@@ -16,11 +16,11 @@ from difffric.rig import catalogue
 from difffric.rig.catalogue import CATALOGUE, Effect, Key
 from difffric.rig.contact import UnilateralSpringDamper
 from difffric.rig.friction import ViscousCoulomb, innermost
-from difffric.rig.parameters import RIG_PARAMETERS
+from difffric.rig.parameters import PARAMETERS, range_of
 from difffric.rig.pusher import ConstantSpeed
 from difffric.rig.rig import Rig
 from difffric.rig.sensors import ForceSensor, Probe
-from difffric.value_ranges import NOT_NEGATIVE, POSITIVE, RATIO, SCATTER, Range
+from difffric.value_ranges import POSITIVE, SCATTER, Range
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Quantity:
     def name(self) -> str:
         """Its name among the parameters where it has one, else section.key."""
         key = self.same_as or self.key
-        return key if key in RIG_PARAMETERS else f"{self.section}.{key}"
+        return key if key in PARAMETERS else f"{self.section}.{key}"
 
     def of(self, setup) -> Any:
         """What a set-up holds."""
@@ -75,14 +75,21 @@ class Quantity:
 STROKE = Quantity("pusher", "stroke_mm", POSITIVE, "rig.pusher.stroke", units.MM)
 """Infinite in a rig it means none."""
 
+
+def _parameter(key: str, attribute: str, required: bool = False) -> Quantity:
+    """A parameter of the laws of (1) and (2), with what the table of parameters knows of it."""
+    row = PARAMETERS[key]
+    return Quantity(row.component, key, row.range, attribute, required=required)
+
+
 PLAIN = (
-    Quantity("part", "mass_kg", POSITIVE, "rig.mass", required=True),
-    Quantity("friction", "mu_s", POSITIVE, "rig.friction.mu_s", required=True),
+    _parameter("mass_kg", "rig.mass", required=True),
+    _parameter("mu_s", "rig.friction.mu_s", required=True),
     Quantity("friction", "mu_s_scatter", SCATTER, "mu_s_scatter"),
-    Quantity("friction", "mu_k_over_mu_s", RATIO, "rig.friction.mu_k_over_mu_s"),
-    Quantity("friction", "k_v_N_s_per_m", NOT_NEGATIVE, "rig.friction.k_v"),
-    Quantity("contact", "k_N_per_m", POSITIVE, "rig.contact.k", required=True),
-    Quantity("contact", "b_N_s_per_m", NOT_NEGATIVE, "rig.contact.b", required=True),
+    _parameter("mu_k_over_mu_s", "rig.friction.mu_k_over_mu_s"),
+    _parameter("k_v_N_s_per_m", "rig.friction.k_v"),
+    _parameter("k_N_per_m", "rig.contact.k", required=True),
+    _parameter("b_N_s_per_m", "rig.contact.b", required=True),
     STROKE,
     Quantity(
         "force_sensor", "sensitivity_mV_per_N", POSITIVE, "rig.force_sensor.sensitivity", units.MV
@@ -143,25 +150,9 @@ class EffectQuantity(Quantity):
         return f"{1 / Decimal(held):.{_FLOAT_DIGITS + 7}e}"
 
 
-def _range(name: str, key: Key) -> Range:
-    """Between the key's bounds, which a fit may reach; but laws divide by what is at its null
-    elsewhere than at zero."""
-    lower, upper = key.lower, key.upper
-    # A patch may start where the part does. Bristles have no null.
-    above = lower == 0 and key.null != 0 and name != "friction_patch.start_m"
-    infinite = math.isinf(key.null) and name != "presliding.sigma_0_N_per_m"
-    words = [f"{'>' if above else '>='} {lower:g}"] if math.isfinite(lower) else []
-    words += [f"<= {upper:g}"] if math.isfinite(upper) else []
-    return Range(
-        " and ".join(words) + ", or inf" * infinite,
-        lambda x: ((x > lower) if above else (x >= lower)) & (x <= upper),
-        infinite,
-    )
-
-
 def _quantity(effect: Effect, key: Key) -> EffectQuantity:
     name = f"{effect.id}.{key.name}"
-    range = _range(name, key)
+    range = range_of(name, key)
     needed = math.isinf(key.null) and not range.infinite
     return EffectQuantity(
         f"effects.{effect.id}", key.name, range, name, required=needed, effect=effect, of_law=key
@@ -176,9 +167,13 @@ OF_EFFECTS = {
 """id -> the numbers of the effect."""
 
 MU_RATIO = Quantity(
-    f"effects.{catalogue.RATIO}", "ratio", RATIO, "rig.friction.mu_k_over_mu_s",
-    required=True, same_as="mu_k_over_mu_s",
-)  # fmt: skip
+    f"effects.{catalogue.RATIO}",
+    "ratio",
+    PARAMETERS["mu_k_over_mu_s"].range,
+    "rig.friction.mu_k_over_mu_s",
+    required=True,
+    same_as="mu_k_over_mu_s",
+)
 
 QUANTITIES: tuple[Quantity, ...] = (
     *PLAIN,
