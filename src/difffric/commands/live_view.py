@@ -16,9 +16,9 @@ from rich.text import Text
 
 from difffric.acquisition.recorder import Acquired, troubles
 from difffric.commands.figures.acquire import draw_live
-from difffric.commands.reports.page import number, rounded
 from difffric.identification.live import LivePush
 from difffric.measurements.recordings import Recording
+from difffric.number_text import format_number, format_pair
 from difffric.units import to_mm_min, to_um
 
 _COLUMNS = ("push", "mm/min", "samples")
@@ -40,18 +40,18 @@ def notes(acquired: Acquired, found: LivePush | None) -> list[str]:
 
 def cells(acquired: Acquired, found: LivePush | None) -> list[str]:
     """A push as a row of numbers."""
-    speed = number(to_mm_min(acquired.command.velocity), 6)
+    speed = format_number(to_mm_min(acquired.command.velocity), 6)
     row = [acquired.name, speed, str(acquired.samples)]
     if found is None:
         return row
     seen = found.reduced
-    row.append(number(seen and seen.peak_force, 5))
-    row.append(number(seen and to_um(seen.sliding_distance), 5))
+    row.append(format_number(seen and seen.peak_force, 5))
+    row.append(format_number(seen and to_um(seen.sliding_distance), 5))
     for way in _WAYS:
         one = found.friction and getattr(found.friction, way)
-        value, error = rounded(one.value, one.standard_error) if one else ("–", "–")
+        value, error = format_pair(one.value, one.standard_error) if one else ("–", "–")
         row.append(value if error == "–" else f"{value} ± {error}")
-    return [*row, number(1e3 * found.seconds, 3)]
+    return [*row, format_number(1e3 * found.seconds, 3)]
 
 
 class LiveView:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from difffric.centering.loop import Centering, centre
 from difffric.centering.machine import Readings, SimulatedMachine
 from difffric.centering.planning import Known
 from difffric.centering.ring import Ring
+from difffric.progress import Tell, silent
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
 from difffric.studies.other_centering import RIVALS, Rivals
@@ -91,7 +92,7 @@ def runs(
     scatter: float | None = None,
     drift: float = 0.0,
     verify: bool = False,
-    tell: Callable[[str, float], None] = lambda what, share: None,
+    tell: Tell = silent,
 ) -> Iterator[Run]:
     """Centre each ring in each way; every way meets the same ring, noise and scatter.
 

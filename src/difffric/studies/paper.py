@@ -7,7 +7,6 @@ module as printed; signs of Table V's errors are ours, the paper prints magnitud
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib import resources
 
@@ -21,6 +20,7 @@ from difffric.diagnosis.verdict import Diagnosis
 from difffric.identification.estimators import PushFriction, identify
 from difffric.identification.surrogates import PUBLISHED_DISTANCE, PUBLISHED_FORCE, weighted
 from difffric.measurements.pushes import Pushes
+from difffric.progress import Tell, silent
 from difffric.rig import parameters
 from difffric.rig.rig import Rig, spring_damper_rig
 from difffric.simulation.families import MU_S, SPEEDS_MM_MIN, Family, family
@@ -212,7 +212,7 @@ class Paper:
         }
 
 
-def study(progress: Callable[[str, float], None] = lambda what, share: None) -> Paper:
+def study(progress: Tell = silent) -> Paper:
     """Calibrate and identify the paper's pushes; `progress(what, share done)` is told.
 
     Distances above the lossless bound are left out of the calibration: no k, b and k_v can

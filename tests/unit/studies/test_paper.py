@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import difffric as df
-from difffric.commands.reports.page import plain, write
+from difffric.commands.reports.page import write
 from difffric.commands.reports.paper import paper_report
 from difffric.identification.surrogates import PUBLISHED_DISTANCE, PUBLISHED_FORCE, weighted
+from difffric.output_folder import to_json_types
 from difffric.simulation.families import family
 from difffric.studies import paper
 from difffric.units import from_mm_min
@@ -157,4 +158,4 @@ def test_from_the_distance_the_model_beats_the_paper_where_it_can_reach(study):
 
 def test_numbers_that_do_not_exist_are_null():
     given = {"a": np.nan, "b": [np.inf, 1], "c": np.float64(2), "d": None, "e": np.bool_(True)}
-    assert plain(given) == {"a": None, "b": [None, 1], "c": 2.0, "d": None, "e": True}
+    assert to_json_types(given) == {"a": None, "b": [None, 1], "c": 2.0, "d": None, "e": True}

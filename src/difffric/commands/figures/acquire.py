@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from difffric.commands.figures.style import STYLE, new_figure
-from difffric.commands.reports.page import number
 from difffric.identification.live import LivePush
 from difffric.measurements.recordings import Channel, Recording
+from difffric.number_text import format_number
 from difffric.units import to_mm_min, to_um
 
 _BLUE, _RED = "#1f6f8b", "#b4532a"
@@ -42,7 +42,7 @@ def strokes(recordings: Sequence[Recording]) -> Figure:
             t, force = envelope(push.force)
             t = t - push.force.start + begin
             speed = f"{to_mm_min(push.velocity):g} mm/min"
-            label = f"{push.name}, {speed}: at most {number(float(force.max()), 4)} "
+            label = f"{push.name}, {speed}: at most {format_number(float(force.max()), 4)} "
             ax.plot(1e3 * t, force, color=(_BLUE, _RED)[i % 2], lw=0.8,
                     label=label + push.force.unit)  # fmt: skip
             begin += push.force.n * push.force.dt

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from difffric.calibration.comparison import FittedPushes, FittedTrace, fitted_family
 from difffric.calibration.profiles import Profile
 from difffric.calibration.result import Fit
-from difffric.commands.figures.style import STYLE, colours_of, new_figure
+from difffric.commands.figures.style import MARKERS, STYLE, colours_of, new_figure
 from difffric.identification.estimates import WAYS, Identified
 from difffric.units import to_mm_min, to_um
 
-_MARKERS = "osD^vP"
 _TITLES = {
     "mu_s_force": "from the force",
     "mu_s_distance": "from the distance",
@@ -32,7 +31,7 @@ def _groups(conditions: Sequence[str]) -> list[tuple[str, NDArray, str, str]]:
     """(condition, mask, colour, marker), an entry a condition."""
     colours = colours_of(conditions)
     return [
-        (c, np.array([x == c for x in conditions]), colour, _MARKERS[i % len(_MARKERS)])
+        (c, np.array([x == c for x in conditions]), colour, MARKERS[i % len(MARKERS)])
         for i, (c, colour) in enumerate(colours.items())
     ]
 

@@ -8,12 +8,11 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from difffric.commands.figures.style import STYLE, colours_of, new_figure
+from difffric.commands.figures.style import MARKERS, STYLE, colours_of, new_figure
 from difffric.monitoring.monitor import Monitor
 from difffric.monitoring.records import Seen
 from difffric.monitoring.shiryaev_roberts import DIRECTIONS
 
-_MARKERS = "osD^vP"
 _ALARM, _LINES = "#a3122a", ("#1f6f8b", "#1f6f8b", "#b08a1e", "#b08a1e")
 _WORDS = {
     "friction up": "mu_s up",
@@ -64,7 +63,7 @@ def _parts(pushes: Sequence[Seen]) -> dict[str, list[Seen]]:
 def _friction(ax, pushes: Sequence[Seen]) -> None:
     parts = _parts(pushes)
     colours = colours_of(list(parts))
-    for marker, (name, mine) in zip(_MARKERS * len(parts), parts.items(), strict=False):
+    for marker, (name, mine) in zip(MARKERS * len(parts), parts.items(), strict=False):
         n = np.array([x.number for x in mine])
         colour = colours[name]
         ax.plot(n, [x.mu_s for x in mine], marker, color=colour, ms=3.5, mfc="none", mew=0.8,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from difffric.centering.ring import Ring, surface
 from difffric.commands.figures.style import STYLE
-from difffric.commands.reports.page import rounded
+from difffric.number_text import format_pair
 from difffric.units import to_um
 
 _BLUE, _RED, _GREY = "#1f6f8b", "#b4532a", "#777777"
@@ -47,8 +47,8 @@ def ring_figure(angle: NDArray, radius: NDArray, ring: Ring) -> Figure:
         polar.set_yticks([base], [])
         polar.set_title(
             "{} ± {} µm towards {} ± {}°".format(
-                *rounded(end, to_um(ring.offset_se)),
-                *rounded(*np.degrees([ring.direction, ring.direction_se])),
+                *format_pair(end, to_um(ring.offset_se)),
+                *format_pair(*np.degrees([ring.direction, ring.direction_se])),
             ),
             fontsize=10,
             pad=16,

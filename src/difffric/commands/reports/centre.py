@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.centering.planning import Known
-from difffric.commands.reports.page import Picture, Report, Section, Table, number
+from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.commands.reports.plan import step_answer
+from difffric.number_text import format_number
 from difffric.studies.centering_runs import OURS, Run
 from difffric.studies.other_centering import RIVALS
 from difffric.units import to_um
@@ -175,12 +176,12 @@ def _one(r: Run, known: Known) -> Table:
         rows.append(
             [
                 str(i),
-                number(60e3 * s.velocity, 4),
-                number(to_um(s.stroke), 5),
-                number(to_um(s.aim), 5),
+                format_number(60e3 * s.velocity, 4),
+                format_number(to_um(s.stroke), 5),
+                format_number(to_um(s.aim), 5),
                 f"{s.probability:.3f}",
-                number(p.mu_s, 4),
-                number(to_um(float(np.hypot(*at))), 3),
+                format_number(p.mu_s, 4),
+                format_number(to_um(float(np.hypot(*at))), 3),
             ]
         )
     columns = ("push", "mm/min", "stroke [µm]", "aim [µm]", "lands", "mu_s", "left [µm]")

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 
-from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table, number, plain
+from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table
 from difffric.estimation.stacked_data import sensor_errors
 from difffric.identification.controller.c_code import golden, source_files, statement
 from difffric.identification.controller.fitting import QUANTITIES, Exported
 from difffric.identification.controller.predictor import REASONS
+from difffric.number_text import format_number
+from difffric.output_folder import to_json_types
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
 from difffric.units import to_mm, to_mm_min
@@ -51,7 +53,7 @@ def files_of(exported: Exported, rig: Rig) -> dict[str, bytes]:
     errors = sensor_errors(rig)
     stored = {**export_answer(exported, rig), "predictor": exported.predictor.as_dict()}
     return {
-        "predictor.json": (json.dumps(plain(stored), allow_nan=False) + "\n").encode(),
+        "predictor.json": (json.dumps(to_json_types(stored), allow_nan=False) + "\n").encode(),
         **source_files(exported, rig, *errors),
         "golden.csv": golden(exported, rig, *errors),
     }
@@ -64,7 +66,7 @@ def export_report(exported: Exported, rig: Rig) -> Report:
     p = exported.predictor
 
     def percent(value, digits=3):
-        return "–" if value is None else number(100 * value, digits)
+        return "–" if value is None else format_number(100 * value, digits)
 
     rows = [
         [

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table, number
+from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table
 from difffric.identification.surrogates import PUBLISHED_DISTANCE, PUBLISHED_FORCE
+from difffric.number_text import format_number
 from difffric.rig.rig import Rig
 from difffric.simulation.families import Family
 from difffric.units import to_um
@@ -45,20 +46,22 @@ def _surrogate_misfit(family: Family, force, distance) -> dict:
 
 def family_report(answer: dict, family: Family, rig: Rig) -> Report:
     """The families for a person."""
-    from difffric.commands.figures.style import families
+    from difffric.commands.figures.paper import draw_families
 
     rows = []
     for equation in ("equation_3", "equation_5"):
         for name, fitted in answer[equation]["fitted"].items():
             published = answer[equation]["published"][name]
-            rows.append([f"({equation[-1]}) {name}", number(fitted), number(published)])
+            rows.append(
+                [f"({equation[-1]}) {name}", format_number(fitted), format_number(published)]
+            )
     misfit = answer["misfit"]
     none = int(np.isnan(family.sliding_distance).sum())
     summary = [
-        f"(3) misses the model by {number(misfit['peak_force_rms_N'], 3)} N rms, (5) by "
-        f"{number(to_um(misfit['sliding_distance_rms_m']), 3)} µm rms.",
-        f"Inverted, (4) misses mu_s by {number(misfit['mu_s_by_4_rms'], 2)} rms and (6) by "
-        f"{number(misfit['mu_s_by_6_rms'], 2)} rms, where it answers at all "
+        f"(3) misses the model by {format_number(misfit['peak_force_rms_N'], 3)} N rms, (5) by "
+        f"{format_number(to_um(misfit['sliding_distance_rms_m']), 3)} µm rms.",
+        f"Inverted, (4) misses mu_s by {format_number(misfit['mu_s_by_4_rms'], 2)} rms and (6) by "
+        f"{format_number(misfit['mu_s_by_6_rms'], 2)} rms, where it answers at all "
         f"({100 * misfit['mu_s_by_6_answered']:.0f} % of the grid).",
     ]
     if none:
@@ -67,9 +70,11 @@ def family_report(answer: dict, family: Family, rig: Rig) -> Report:
         summary.append(NO_STROKE)
     table = Table("Surrogate coefficients [N, mm/min, µm]", ("", "fitted", "published"), rows)
     pictures = [
-        Picture("figure_II_5", "F_p over speed; dashed: published (3).", families(family, "force")),
         Picture(
-            "figure_II_6", "d over speed; dashed: published (5).", families(family, "distance")
+            "figure_II_5", "F_p over speed; dashed: published (3).", draw_families(family, "force")
+        ),
+        Picture(
+            "figure_II_6", "d over speed; dashed: published (5).", draw_families(family, "distance")
         ),
     ]
     return Report("Curve families", summary, [Section("Fits", (), [table], pictures)])

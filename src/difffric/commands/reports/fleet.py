@@ -4,16 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from difffric.commands.reports.page import (
-    NO_STROKE,
-    Picture,
-    Report,
-    Section,
-    Table,
-    number,
-    rounded,
-)
+from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table
 from difffric.fleet.identify_archive import DATA_SET, Fleet
+from difffric.number_text import format_number, format_pair
 
 _LISTED = 50
 """Lines of a report's list of what was left out; the rest is in bad.csv."""
@@ -151,10 +144,10 @@ def _lines(fleet: Fleet, answer: dict) -> list[str]:
 def _rigs(answer: dict) -> Table:
     rows = []
     for row in answer["rigs"]:
-        mean, error = rounded(row["mu_s_mean"], row["mu_s_standard_error"])
+        mean, error = format_pair(row["mu_s_mean"], row["mu_s_standard_error"])
         spread = None if row["spread"] is None else 100 * row["spread"]
         days = " to ".join(dict.fromkeys(x for x in (row["first_date"], row["last_date"]) if x))
         counts = (str(row[k]) for k in ("files", "bad_files", "pushes", "identified", "apart"))
-        rows.append([row["rig"], *counts, mean, error, number(spread, 3), days or "–"])
+        rows.append([row["rig"], *counts, mean, error, format_number(spread, 3), days or "–"])
     columns = ("rig", "files", "bad", "pushes", "with mu_s", "F, d apart", "mean mu_s", "± s.e.")
     return Table("By rig", (*columns, "spread [%]", "dates"), rows)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from difffric.commands.reports.page import Picture, Report, Section, Table, number, rounded
+from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.fleet.diagnose_archive import RIGS
 from difffric.fleet.identify_archive import escaped
 from difffric.fleet.shared_effects import (
@@ -16,6 +16,7 @@ from difffric.fleet.shared_effects import (
     Shared,
 )
 from difffric.fleet.verdict import LINES, FleetDiagnosis, lines, text_of, told
+from difffric.number_text import format_number, format_pair
 
 
 def fleet_diagnosis_answer(found: FleetDiagnosis) -> dict:
@@ -142,10 +143,16 @@ def _shared_rows(one: Shared) -> list[list[str]]:
     name = " or ".join((one.effect, *one.alike))
     start = [name, str(len(one.rigs)) if one.by == CAUSES else f"≥ {one.row.at_least}"]
     rows = [
-        [*start, key, *rounded(x.value, x.standard_error), number(x.between, 2), number(x.q, 3),
-         number(x.p_value, 2)]
+        [
+            *start,
+            key,
+            *format_pair(x.value, x.standard_error),
+            format_number(x.between, 2),
+            format_number(x.q, 3),
+            format_number(x.p_value, 2),
+        ]
         for key, x in one.parameters.items()
-    ]  # fmt: skip
+    ]
     return rows or [[*start, "–", "–", "–", "–", "–", "–"]]
 
 
@@ -153,8 +160,8 @@ def _evidence(found: FleetDiagnosis, most: int = 12) -> Table:
     rows = [
         [row.effect, *(str(sum(x == mark for x in row.marks.values()) or "–")
                        for mark in (NAMED, POSSIBLE)),
-         number(row.chi2, 3), str(row.freedom), number(row.p_value, 2),
-         number(row.p_value_two, 2), str(row.at_least or "–")]
+         format_number(row.chi2, 3), str(row.freedom), format_number(row.p_value, 2),
+         format_number(row.p_value_two, 2), str(row.at_least or "–")]
         for row in found.found.rows[:most]
     ]  # fmt: skip
     columns = ("effect", "named", "possible", "χ²", "numbers", "p, one rig", "p, two rigs",

@@ -7,18 +7,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.commands.reports.page import (
-    NO_STROKE,
-    Picture,
-    Report,
-    Section,
-    Table,
-    number,
-    rounded,
-)
+from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table
 from difffric.identification.estimates import NONE, WAYS, Estimate, Identified
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
+from difffric.number_text import format_number, format_pair
 from difffric.rig.rig import Rig
 from difffric.units import to_mm_min
 
@@ -130,7 +123,7 @@ def identify_report(
 def _summary(found: Identified, answer: dict) -> list[str]:
     lines = []
     for condition, of in answer["conditions"].items():
-        value, error = rounded(of["mean"], of["standard_error"])
+        value, error = format_pair(of["mean"], of["standard_error"])
         spread = "" if of["spread"] is None else f", spread {100 * of['spread']:.2g} %"
         name = f"{condition}: " if condition else ""
         lines.append(f"{name}mu_s = {value} ± {error} ({of['pushes']} pushes{spread})")
@@ -156,17 +149,17 @@ def _pushes(found: Identified, velocity: NDArray) -> Table:
     both = any(p.disagreement is not None for p in found)
     rows = []
     for i, p in enumerate(found):
-        row = [p.name or str(i + 1), number(to_mm_min(velocity[i]), 5), p.condition or "–"]
+        row = [p.name or str(i + 1), format_number(to_mm_min(velocity[i]), 5), p.condition or "–"]
         for way in ways:
             one = getattr(p, way)
-            value, error = rounded(one.value, one.standard_error)
+            value, error = format_pair(one.value, one.standard_error)
             row.append(value if error == "–" else f"{value} ± {error}")
         if both:
-            row.append(number(p.disagreement, 2))
+            row.append(format_number(p.disagreement, 2))
         words = [p.reason or ""]
         if p.alternatives:
             others = [x for x in p.alternatives if x != p.mu_s_distance.value]
-            words.append(f"d also from {', '.join(number(x, 3) for x in others)}")
+            words.append(f"d also from {', '.join(format_number(x, 3) for x in others)}")
         rows.append([*row, "; ".join(x for x in words if x)])
     columns = ["push", "mm/min", "", *(WAYS[way] for way in ways), *["F − d [σ]"] * both, ""]
     return Table("mu_s of each push", columns, rows)
@@ -175,8 +168,8 @@ def _pushes(found: Identified, velocity: NDArray) -> Table:
 def _conditions(answer: dict) -> Table:
     rows = []
     for condition, of in answer["conditions"].items():
-        value, error = rounded(of["mean"], of["standard_error"])
+        value, error = format_pair(of["mean"], of["standard_error"])
         spread = None if of["spread"] is None else 100 * of["spread"]
-        rows.append([condition or "all", str(of["pushes"]), value, error, number(spread, 3)])
+        rows.append([condition or "all", str(of["pushes"]), value, error, format_number(spread, 3)])
     columns = ("", "pushes", "mean mu_s", "± s.e.", "spread [%]")
     return Table("By condition (best estimates, weighted)", columns, rows)

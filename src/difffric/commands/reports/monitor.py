@@ -6,21 +6,14 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-from difffric.commands.reports.page import (
-    NO_STROKE,
-    Picture,
-    Report,
-    Section,
-    Table,
-    number,
-    rounded,
-)
+from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table
 from difffric.errors import InputError
 from difffric.monitoring.change_cause import Candidate, verdict
 from difffric.monitoring.feed import Feed
 from difffric.monitoring.monitor import Monitor
 from difffric.monitoring.records import Alarm, Seen
 from difffric.monitoring.shiryaev_roberts import CHANNELS, DIRECTIONS
+from difffric.number_text import format_number, format_pair
 from difffric.units import to_mm_min
 
 ALARM = 3
@@ -250,16 +243,16 @@ def _causes(alarms: list[Explained]) -> Table:
     rows = []
     for x in alarms:
         for k, c in enumerate(x.causes):
-            change, error = rounded(100 * c.change, c.standard_error and 100 * c.standard_error)
+            change, error = format_pair(100 * c.change, c.standard_error and 100 * c.standard_error)
             rows.append(
                 [
                     str(x.alarm.push) if k == 0 else "",
                     str(x.alarm.change) if k == 0 else "",
                     c.words.rsplit(" ", 4)[0] if c.standard_error else c.words.rsplit(" ", 2)[0],
                     change if error == "–" else f"{change} ± {error}",
-                    number(c.drop, 4),
-                    number(c.probability, 2),
-                    number(c.left, 2),
+                    format_number(c.drop, 4),
+                    format_number(c.probability, 2),
+                    format_number(c.left, 2),
                 ]
             )
     columns = ("alarm at", "change at", "candidate", "change [%]", "chi² drop", "probability",
@@ -270,10 +263,15 @@ def _causes(alarms: list[Explained]) -> Table:
 def _states(answer: dict) -> Table:
     rows = []
     for part in answer["parts"]:
-        value, error = rounded(*part["mu_s"].values())
+        value, error = format_pair(*part["mu_s"].values())
         speeds = ", ".join(f"{to_mm_min(s['velocity_m_per_s']):.4g}" for s in part["speeds"])
         rows.append(
-            [part["condition"] or "–", number(part["mass_kg"]), f"{value} ± {error}", speeds or "–"]
+            [
+                part["condition"] or "–",
+                format_number(part["mass_kg"]),
+                f"{value} ± {error}",
+                speeds or "–",
+            ]
         )
     return Table("State", ("part", "mass [kg]", "mu_s", "speeds since the last alarm"), rows)
 
@@ -286,13 +284,13 @@ def _last(answer: dict) -> Table:
         rows.append(
             [
                 str(x["number"]) + (" ALARM" if x["alarm"] else ""),
-                number(to_mm_min(x["velocity_m_per_s"])),
+                format_number(to_mm_min(x["velocity_m_per_s"])),
                 x["condition"] or "–",
-                number(x["mu_s"] and x["mu_s"]["value"]),
-                number(state["value"]),
-                number(z["friction"], 2),
-                number(z["contrast"], 2),
-                number(x["evidence"], 2),
+                format_number(x["mu_s"] and x["mu_s"]["value"]),
+                format_number(state["value"]),
+                format_number(z["friction"], 2),
+                format_number(z["contrast"], 2),
+                format_number(x["evidence"], 2),
             ]
         )
     columns = ("push", "mm/min", "part", "mu_s", "state", "mu_s [σ]", "contrast [σ]",

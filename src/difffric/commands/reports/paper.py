@@ -7,15 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from difffric.commands.reports.diagnose import considered_table
-from difffric.commands.reports.page import (
-    NO_STROKE,
-    Picture,
-    Report,
-    Section,
-    Table,
-    number,
-    with_error,
-)
+from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table
+from difffric.number_text import format_number, format_with_error
 from difffric.rig import parameters
 from difffric.simulation.trajectory import simulate
 from difffric.studies.paper import Paper, misprints
@@ -24,7 +17,7 @@ from difffric.units import to_mm, to_mm_min, to_um
 
 def paper_report(paper: Paper) -> Report:
     """The paper's measurements for a person."""
-    from difffric.commands.figures import style
+    from difffric.commands.figures import paper as figures
 
     return Report(
         "The paper's measurements, by equation (2)",
@@ -41,7 +34,7 @@ def paper_report(paper: Paper) -> Report:
                     Picture(
                         "identified",
                         "mu_s over speed, one standard error; crosses: the paper's own formulas.",
-                        style.identified(paper),
+                        figures.draw_identified(paper),
                     )
                 ],
             ),
@@ -54,7 +47,13 @@ def paper_report(paper: Paper) -> Report:
                     "rig, not at the friction. These four are left out of the calibration.",
                 ),
                 [_misfit_table(paper)],
-                [Picture("residuals", "Measured minus model over speed.", style.residuals(paper))],
+                [
+                    Picture(
+                        "residuals",
+                        "Measured minus model over speed.",
+                        figures.draw_residuals(paper),
+                    )
+                ],
             ),
             Section(
                 "Which cause",
@@ -124,11 +123,11 @@ def _errors_table(paper: Paper) -> Table:
     rows = [
         [
             f"{e['condition']}, {e['by']}",
-            number(e["printed"], 3),
-            number(e["surrogate"], 3),
-            number(e["model"], 3),
+            format_number(e["printed"], 3),
+            format_number(e["surrogate"], 3),
+            format_number(e["model"], 3),
             f"{e['answered']} of {e['measurements']}",
-            number(e["model_on_all_24"], 3),
+            format_number(e["model_on_all_24"], 3),
         ]
         for e in paper.errors()
     ]
@@ -148,7 +147,7 @@ def _rows_table(paper: Paper) -> Table:
                 f"{r['mu_s_gauge']:.3f}",
                 f"{r['mu_s_printed']:.3f}",
                 f"{r['mu_s_surrogate']:.3f}",
-                with_error(r["mu_s_model"], r["mu_s_model_standard_error"]),
+                format_with_error(r["mu_s_model"], r["mu_s_model_standard_error"]),
                 r["reason"] or "",
             ]
         )
@@ -162,11 +161,11 @@ def _weighted_table(paper: Paper) -> Table:
             r["condition"],
             f"{r['velocity_mm_min']:.0f}",
             f"{r['mu_s_gauge']:.3f}",
-            number(r["mu_s_printed"], 3),
-            number(r["mu_s_surrogate"], 3),
-            with_error(r["mu_s_model"], r["mu_s_model_standard_error"]),
-            with_error(r["mu_s_optimal"], r["mu_s_optimal_standard_error"]),
-            number(r["disagreement_in_standard_deviations"], 2),
+            format_number(r["mu_s_printed"], 3),
+            format_number(r["mu_s_surrogate"], 3),
+            format_with_error(r["mu_s_model"], r["mu_s_model_standard_error"]),
+            format_with_error(r["mu_s_optimal"], r["mu_s_optimal_standard_error"]),
+            format_number(r["disagreement_in_standard_deviations"], 2),
         ]
         for r in paper.weighted()
     ]
@@ -198,9 +197,9 @@ def _calibration_table(paper: Paper) -> Table:
         values = []
         for parameter in fit.free:
             error = fit.standard_error(parameter)
-            shown = number(fit.value(parameter), 4)
+            shown = format_number(fit.value(parameter), 4)
             values.append(
-                f"{shown} ± {number(error, 2)}" if error is not None else f"{shown} (bound)"
+                f"{shown} ± {format_number(error, 2)}" if error is not None else f"{shown} (bound)"
             )
         return [
             name,
@@ -228,7 +227,7 @@ def _misprints_table() -> Table:
 
 
 def _paper_figures(paper: Paper) -> list[Picture]:
-    from difffric.commands.figures import style
+    from difffric.commands.figures import paper as figures
 
     speed = paper.pushes.velocity[3]
     push = {}
@@ -239,17 +238,21 @@ def _paper_figures(paper: Paper) -> list[Picture]:
     where = f"18.9 kg, {to_mm_min(speed):.0f} mm/min, calibrated"
     return [
         Picture(
-            "figure_II_3", f"Figure II.3: position ({where}).", style.response(push, "position")
+            "figure_II_3",
+            f"Figure II.3: position ({where}).",
+            figures.draw_response(push, "position"),
         ),
-        Picture("figure_II_4", f"Figure II.4: force ({where}).", style.response(push, "force")),
+        Picture(
+            "figure_II_4", f"Figure II.4: force ({where}).", figures.draw_response(push, "force")
+        ),
         Picture(
             "figure_II_5",
             "Figure II.5: F_p over speed; dashed: the published (3).",
-            style.families(paper.families, "force", paper),
+            figures.draw_families(paper.families, "force", paper),
         ),
         Picture(
             "figure_II_6",
             "Figure II.6: d over speed; dashed: the published (5).",
-            style.families(paper.families, "distance", paper),
+            figures.draw_families(paper.families, "distance", paper),
         ),
     ]

@@ -6,18 +6,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.centering.ring import Ring
-from difffric.commands.reports.page import Picture, Report, Section, Table, rounded
+from difffric.commands.reports.page import Picture, Report, Section, Table
+from difffric.number_text import format_pair
 from difffric.units import to_mm, to_um
 
 
 def ring_report(ring: Ring, angle: NDArray, radius: NDArray, pictures: bool = True) -> Report:
     """A measured ring for a person. `angle` [rad], `radius` [m]."""
     rows = [
-        ["offset [µm]", *rounded(to_um(ring.offset), to_um(ring.offset_se))],
-        ["direction [degrees]", *rounded(*np.degrees([ring.direction, ring.direction_se]))],
-        ["x [µm]", *rounded(to_um(ring.x), to_um(ring.covariance[0, 0] ** 0.5))],
-        ["y [µm]", *rounded(to_um(ring.y), to_um(ring.covariance[1, 1] ** 0.5))],
-        ["radius [mm]", *rounded(to_mm(ring.radius), to_mm(ring.radius_se))],
+        ["offset [µm]", *format_pair(to_um(ring.offset), to_um(ring.offset_se))],
+        ["direction [degrees]", *format_pair(*np.degrees([ring.direction, ring.direction_se]))],
+        ["x [µm]", *format_pair(to_um(ring.x), to_um(ring.covariance[0, 0] ** 0.5))],
+        ["y [µm]", *format_pair(to_um(ring.y), to_um(ring.covariance[1, 1] ** 0.5))],
+        ["radius [mm]", *format_pair(to_mm(ring.radius), to_mm(ring.radius_se))],
     ]
     tables = [Table("The ring", ("", "value", "standard error"), rows)]
     lobes = [
@@ -28,8 +29,8 @@ def ring_report(ring: Ring, angle: NDArray, radius: NDArray, pictures: bool = Tr
     if lobes:
         columns = ("order", "cos [µm]", "sin [µm]")
         tables.append(Table("Lobes beyond three standard errors", columns, lobes))
-    offset, se = rounded(to_um(ring.offset), to_um(ring.offset_se))
-    direction, direction_se = rounded(*np.degrees([ring.direction, ring.direction_se]))
+    offset, se = format_pair(to_um(ring.offset), to_um(ring.offset_se))
+    direction, direction_se = format_pair(*np.degrees([ring.direction, ring.direction_se]))
     n, out = int(np.isfinite(ring.residuals).sum()), len(ring.outliers)
     chi2 = "" if ring.reduced_chi2 is None else f", reduced chi-square {ring.reduced_chi2:.3g}"
     summary = [

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table, number
+from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table
+from difffric.number_text import format_number
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
 from difffric.simulation.segments import REASONS, REGIMES
@@ -39,27 +40,29 @@ def simulate_answer(rig: Rig, velocity: float) -> dict:
 
 def simulate_pictures(rig: Rig, velocity: float) -> list[Picture]:
     """Position and force over time."""
-    from difffric.commands.figures.style import response
+    from difffric.commands.figures.paper import draw_response
     from difffric.simulation.trajectory import simulate
 
     push = {"": simulate(rig, velocity)}
     return [
-        Picture("position", "Position of the part over time.", response(push, "position")),
-        Picture("force", "Contact force over time.", response(push, "force")),
+        Picture("position", "Position of the part over time.", draw_response(push, "position")),
+        Picture("force", "Contact force over time.", draw_response(push, "force")),
     ]
 
 
 def simulate_report(answer: dict, velocity_mm_min: float, rig: Rig, pictures) -> Report:
     """One push for a person."""
     d = answer["sliding_distance_m"]
-    distance = f"d = {number(to_um(d), 6)} µm" if d is not None else f"d: none ({answer['reason']})"
+    distance = (
+        f"d = {format_number(to_um(d), 6)} µm" if d is not None else f"d: none ({answer['reason']})"
+    )
     regime = answer["regime"].replace("_", " ")
     first = ", stuck first" if answer["stuck_first"] else ""
     side = "" if answer["side"] == "both" else f", derivatives from the {answer['side']}"
     summary = [
-        f"F_p = {number(answer['peak_force_N'], 6)} N, {distance}",
+        f"F_p = {format_number(answer['peak_force_N'], 6)} N, {distance}",
         f"{regime}{first}; contacts: {answer['contacts']}; next regime at a relative change of "
-        f"mu_s of {number(answer['margin'], 3)}{side}",
+        f"mu_s of {format_number(answer['margin'], 3)}{side}",
     ]
     if answer["stroke"]:
         summary.append(answer["stroke"])
@@ -67,7 +70,7 @@ def simulate_report(answer: dict, velocity_mm_min: float, rig: Rig, pictures) ->
     values = {**parameters.values(rig), "velocity_m_per_s": from_mm_min(velocity_mm_min)}
     dd = derivatives["sliding_distance_m"]
     rows = [
-        [name, number(float(values[name]), 6), number(dF), number(dd[name])]
+        [name, format_number(float(values[name]), 6), format_number(dF), format_number(dd[name])]
         for name, dF in derivatives["peak_force_N"].items()
     ]
     table = Table("Exact derivatives [SI]", ("parameter", "value", "dF_p [N/…]", "dd [m/…]"), rows)

@@ -10,7 +10,6 @@ exact slope at every grid point confirms it. For any other rig the error is **sa
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 from difffric.errors import InputError, NumericalError
 from difffric.identification.controller.domain import Line, determined
 from difffric.identification.controller.predictor import DETERMINED, Box, Cells, Predictor
+from difffric.progress import Tell, silent
 from difffric.rig import parameters
 from difffric.rig.contact import UnilateralSpringDamper
 from difffric.rig.friction import ViscousCoulomb
@@ -84,7 +84,7 @@ def fit_predictor(
     least_elasticity: float = LEAST_ELASTICITY,
     points: int | None = None,
     seed: int = 0,
-    tell: Callable[[str, float], object] = lambda what, share: None,
+    tell: Tell = silent,
 ) -> Exported:
     """The predictor of a rig over a box, within `max_error` (relative, of mu_s), tried on as many
     random `points` through the exact model: unless given a million, and 30 000 for a rig that is

@@ -13,7 +13,6 @@ import pytest
 
 import difffric as df
 from difffric.commands.reports.export import export_answer, export_report, files_of
-from difffric.commands.reports.page import plain
 from difffric.errors import InputError, NumericalError
 from difffric.identification.controller.domain import Line, determined
 from difffric.identification.controller.fitting import drawn, fit_predictor, homogeneous, readings
@@ -29,6 +28,7 @@ from difffric.identification.controller.predictor import (
     Box,
     Predictor,
 )
+from difffric.output_folder import to_json_types
 from difffric.rig import parameters
 from difffric.units import from_mm_min
 from tests.compiler import needs_compiler
@@ -202,7 +202,7 @@ def test_a_line_is_the_inverse_of_its_grid():
 
 
 def test_json_brings_it_back(exported):
-    stored = json.loads(json.dumps(plain(exported.predictor.as_dict())))
+    stored = json.loads(json.dumps(to_json_types(exported.predictor.as_dict())))
     back = Predictor.from_dict(stored)
     v, mu_s = drawn(np.random.default_rng(3), BOX, 100)
     F = readings(RIG, v, mu_s)["force"][0]

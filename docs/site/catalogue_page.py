@@ -1,4 +1,7 @@
-"""docs/catalogue.md from `effects`: `python -m difffric.catalogue_page > docs/catalogue.md`."""
+"""Makes docs/catalogue.md from the catalogue of effects, so that the page cannot differ from it.
+
+python docs/site/catalogue_page.py > docs/catalogue.md
+"""
 
 from __future__ import annotations
 
@@ -11,12 +14,12 @@ _HEAD = """# The catalogue
 
 What `difffric diagnose` looks for, one section an effect: its law with its source (that of the
 class in the code), the keys of `[effects.ID]`, what one sees of it, what it is confused with, and
-what separates it. Made from `effects.py` by `python -m difffric.catalogue_page`; the equations of
-all effects together stand in [effects.md](effects.md).
+what separates it. Made from `rig/catalogue.py` by `python docs/site/catalogue_page.py`; the
+equations of all effects together stand in [effects.md](effects.md).
 """
 
 
-def _keys(effect: Effect) -> str:
+def _write_keys(effect: Effect) -> str:
     rows = [
         f"`{key.name}` (null {key.null:g}, typical {key.typical:g}"
         + (", fixed)" if key.fixed else ")")
@@ -25,7 +28,9 @@ def _keys(effect: Effect) -> str:
     return ", ".join(rows)
 
 
-def _section(name: str, component: str, law: str, keys: str, signs) -> str:
+def _write_section(
+    name: str, component: str, law: str, keys: str, signs: tuple[str, tuple[str, ...], str]
+) -> str:
     sign, confused, separated = signs
     alike = ", ".join(f"[`{x}`](#{x})" for x in confused) or "nothing of the catalogue"
     return (
@@ -35,18 +40,18 @@ def _section(name: str, component: str, law: str, keys: str, signs) -> str:
     )
 
 
-def markdown() -> str:
-    """The page."""
+def write_page() -> str:
+    """Return the page as Markdown: a section for each effect, and one for the ratio."""
     parts = [_HEAD]
     for effect in CATALOGUE.values():
         law = inspect.getdoc(effect.law) or ""
         signs = effect.sign, effect.confused, effect.separated
-        parts.append(_section(effect.id, effect.component, law, _keys(effect), signs))
+        parts.append(_write_section(effect.id, effect.component, law, _write_keys(effect), signs))
     law = "`mu_k = ratio mu_s` with another ratio: a parameter of equation (1) itself."
     keys = "`ratio` (null: the set-up's, typical 0.8)"
-    parts.append(_section(RATIO, catalogue.FRICTION, law, keys, catalogue.RATIO_SIGNS))
+    parts.append(_write_section(RATIO, catalogue.FRICTION, law, keys, catalogue.RATIO_SIGNS))
     return "\n".join(parts)
 
 
 if __name__ == "__main__":
-    print(markdown(), end="")
+    print(write_page(), end="")
