@@ -12,7 +12,7 @@ from functools import cache
 import jax
 import numpy as np
 
-from difffric.compute.native import in_one_piece
+from difffric.compute.xla_options import in_one_piece
 
 _LANES, _CHAINS = 64, 4
 """Numbers at a time: eight vectors of eight, in each of four independent chains."""

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import difffric as df
+from difffric.compute import pytrees
 from difffric.rig import catalogue, parameters
 from difffric.simulation.segments import Push
 from difffric.simulation.trajectory import Trajectory
@@ -41,7 +42,7 @@ def sensitivities(rig):
         base, extra = point
         at = catalogue.with_numbers(parameters.with_values(rig, base), extra)
         push = Push.of(at, velocity)
-        trajectory = Trajectory.of(parameters.as_arrays(push), strides=STRIDES)
+        trajectory = Trajectory.of(pytrees.as_arrays(push), strides=STRIDES)
         return trajectory.read(times, times)
 
     def both(velocity, times):

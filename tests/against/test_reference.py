@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from difffric.rig.parameters import pick, spread
+from difffric.compute.pytrees import pick, replicate
 from difffric.rig.rig import spring_damper_rig
 from difffric.simulation.observables import observe
 from difffric.simulation.segments import REGIMES, TOO_MANY_CONTACTS
@@ -169,7 +169,7 @@ def test_more_than_16_contacts_is_an_answer_that_says_so():
 def test_one_push_alone_is_the_same_push_in_a_batch():
     some = [c for c in CASES if c["stroke_m"] is not None][:5]
     rig, v = rigs(some)
-    rig = spread(rig, len(some))
+    rig = replicate(rig, len(some))
     batch = eqx.filter_jit(eqx.filter_vmap(observe))(rig, v)
     for i in range(len(some)):
         alone = eqx.filter_jit(observe)(pick(rig, i), v[i])

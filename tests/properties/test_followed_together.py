@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import difffric as df
-from difffric.rig import parameters
+from difffric.compute import pytrees
 from difffric.simulation.stepping.integrator import RungeKutta
 from difffric.simulation.stepping.path import follow, follow_together
 from tests.effect_rigs import OPTIONS
@@ -20,7 +20,7 @@ EFFECTS = {"force_lowpass": {"tau_s": 1e-3}, "force_highpass": {"tau_s": 0.2}}
 
 def rigs():
     real = df.extended(PLAIN, EFFECTS)
-    return parameters.spread(real, len(VELOCITY))
+    return pytrees.replicate(real, len(VELOCITY))
 
 
 @pytest.fixture(scope="module")

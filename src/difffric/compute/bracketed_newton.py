@@ -1,8 +1,8 @@
-"""mu_s from F_p or d in a bracket that holds one crossing: Newton's iteration (optimistix)."""
+"""Newton's iteration kept inside a bracket, as a root finder of optimistix."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -10,12 +10,9 @@ import jax.numpy as jnp
 import optimistix as optx
 
 from difffric.compute.event_root import HIT
-from difffric.rig import parameters
-from difffric.rig.rig import Rig
-from difffric.simulation.observables import observe
 
 
-class _Search(eqx.Module):
+class _Bracket(eqx.Module):
     lower: jax.Array
     upper: jax.Array
     step: jax.Array
@@ -38,7 +35,7 @@ class BracketedNewton(optx.AbstractRootFinder):
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
         lower, upper = (jnp.asarray(options[key], float) for key in ("lower", "upper"))
         nothing = jnp.asarray(jnp.nan)
-        return _Search(lower, upper, jnp.asarray(jnp.inf), nothing, jnp.asarray(False))
+        return _Bracket(lower, upper, jnp.asarray(jnp.inf), nothing, jnp.asarray(False))
 
     def step(self, fn, y, args, options, state, tags):
         (value, aux), (slope, _) = jax.jvp(lambda at: fn(at, args), (y,), (jnp.ones_like(y),))
@@ -55,7 +52,7 @@ class BracketedNewton(optx.AbstractRootFinder):
         new = jnp.where(hit, y, jnp.where(inside | arrived, new, 0.5 * (lower + upper)))
         arrived = arrived | hit
         last = jnp.where(arrived, 0.0, jnp.abs(new - y))
-        return new, _Search(lower, upper, last, slope, arrived), aux
+        return new, _Bracket(lower, upper, last, slope, arrived), aux
 
     def terminate(self, fn, y, args, options, state, tags):
         done = state.step <= self.atol + self.rtol * jnp.abs(y)
@@ -63,43 +60,3 @@ class BracketedNewton(optx.AbstractRootFinder):
 
     def postprocess(self, fn, y, aux, args, options, state, tags, result):
         return y, aux, {}
-
-
-class Root(NamedTuple):
-    """Where the bracketed Newton iteration ended."""
-
-    mu_s: jax.Array
-    slope: jax.Array
-    """derivative of the quantity by mu_s [N or m], to 1e-9"""
-    solved: jax.Array
-    """whether the quantity takes the target's value there"""
-
-
-def solve(rig: Rig, velocity, target, by_force, bracket, rising, integrator=None) -> Root:
-    """The mu_s in the bracket at which F_p (where `by_force`) or d takes the value `target`
-    [N or m].
-
-    Traceable; by_force and rising (whether the quantity grows with mu_s there) too, so that one
-    program serves both quantities. Where the quantity does not exist it counts as less than
-    any target.
-    """
-    lower, upper = jnp.log(bracket[0]), jnp.log(bracket[1])
-
-    def excess(log_mu_s, _):
-        mu_s = jnp.exp(log_mu_s)
-        seen = observe(parameters.with_values(rig, {"mu_s": mu_s}), velocity, integrator)
-        ratio = jnp.where(by_force, seen.peak_force, seen.sliding_distance) / target
-        # d is close to a power of mu_s, F_p to a straight line: each its own scale for Newton.
-        value = jnp.where(by_force, ratio - 1.0, jnp.log(jnp.where(by_force, 1.0, ratio)))
-        return jnp.where(jnp.isnan(ratio), -1.0, value)
-
-    solution = optx.root_find(
-        excess,
-        BracketedNewton(),
-        0.5 * (lower + upper),
-        options={"lower": lower, "upper": upper, "rising": rising},
-        max_steps=200,
-        throw=False,
-    )
-    mu_s, end = jnp.exp(solution.value), solution.state
-    return Root(mu_s, end.slope * target / mu_s, end.arrived)

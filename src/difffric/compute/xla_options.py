@@ -1,18 +1,33 @@
-"""Large programs compiled in half the time, for a run time up to twice as long."""
+"""How XLA is asked to compile a program: sooner at the price of its speed, or as one function.
+
+A large program compiles in half the time where an older code generator is asked for; it then takes
+up to twice as long to run (`soon_compiled`).
+
+XLA's CPU backend runs a program loop by loop, and hands each loop to its thread pool: a closed-form
+push has some 70, and to start one costs more than to run it over a few hundred pushes. A
+computation that XLA deems small it compiles as one function instead, which runs where it is
+called, loops and all. XLA deems by the bytes that are touched; the same mark can be set from
+outside (`in_one_piece`).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, wraps
 from typing import Any
 
 import jax
+from jax.experimental.xla_metadata import set_xla_metadata
 
 from difffric.compute.program_cache import kept
 
-_OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
+_SOON: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
 """XLA's newer code generator for fused loops takes most of the time that a large program needs
 to compile, and 0.5 GB."""
+_TESTED = jax.__version_info__ < (0, 11)
+"""The mark is internal to XLA: where it has not been tried, programs are compiled as usual."""
+_MARKS = {"xla_cpu_small_call": "true", "inlineable": "false"}
+"""XLA's frontend attributes: `small_while_loop_hoisting_pass.cc`, `call_inliner.cc`."""
 
 
 def soon_compiled(function: Callable) -> kept:
@@ -20,7 +35,7 @@ def soon_compiled(function: Callable) -> kept:
 
     With a jaxlib that does not know the option it is `kept` alone.
     """
-    return kept(function, lambda: known_options(_OPTIONS))
+    return kept(function, lambda: known_options(_SOON))
 
 
 def known_options(options: dict[str, Any]) -> dict[str, Any] | None:
@@ -36,3 +51,28 @@ def _are_known(options: tuple[tuple[str, Any], ...]) -> bool:
     except jax.errors.JaxRuntimeError:
         return False
     return True
+
+
+def in_one_piece(function: Callable) -> Callable:
+    """`function` of arrays, for use within `jax.jit`: compiled as one native function on CPUs.
+
+    It then runs on the thread that calls it, and no other. Only what XLA itself generates code
+    for may be in it: no linear algebra. Where XLA does not know the mark it changes nothing but
+    that the function is called, not inlined.
+    """
+
+    def unmarked(*args):
+        with set_xla_metadata(**dict.fromkeys(_MARKS)):
+            # XLA aborts where such a function leaves an argument unused: all are handed back.
+            return function(*args), jax.lax.optimization_barrier(args)
+
+    if not _TESTED:
+        return function
+    called = jax.jit(unmarked)
+
+    @wraps(function)
+    def marked(*args):
+        with set_xla_metadata(**_MARKS):
+            return jax.lax.optimization_barrier(called(*args))[0]
+
+    return marked

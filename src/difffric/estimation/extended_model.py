@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from difffric.compute import pytrees
 from difffric.compute.xla_options import soon_compiled
 from difffric.estimation.blocks import Blocks
 from difffric.estimation.effect_coordinates import Coordinates
@@ -69,14 +70,13 @@ class Answer(NamedTuple):
 
 
 def own_rig(coordinates: Coordinates, rig: Rig, push: Pushes, c) -> Rig:
-    """The rig of one push at coordinates c."""
-    at = coordinates.rig(rig, c)
-    new = {"mass_kg": push.mass}
-    given = {"friction_drift.share": push.share, "static_dwell.rest": push.rest}
+    """The rig of one push at coordinates c (coordinates,)."""
     known = {name.partition(".")[0] for name in coordinates.names}
-    new |= {name: x for name, x in given.items() if name.partition(".")[0] in known}
-    at = parameters.with_values(at, new)
-    return parameters.with_stroke(at, push.stroke)
+    given = {"mass_kg": push.mass}
+    for name, said in (("friction_drift.share", push.share), ("static_dwell.rest", push.rest)):
+        if name.partition(".")[0] in known:
+            given[name] = said
+    return coordinates.rig(rig, c, given, push.stroke)
 
 
 def _mean(blocks: Blocks, at_instants):
@@ -207,7 +207,7 @@ class ExtendedModel:
 
     @cached_property
     def _rig(self):
-        return parameters.as_arrays(self.rig)
+        return pytrees.as_arrays(self.rig)
 
     @cached_property
     def _bent(self) -> ExtendedModel:

@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from difffric.compute import pytrees
 from difffric.errors import NumericalError
-from difffric.estimation.coordinates import LINEAR, START, Layout
+from difffric.estimation.coordinates import START, Layout, to_value
 from difffric.estimation.mixed_model import (
     MAX_STEPS,
     PADDING,
@@ -26,7 +27,7 @@ from difffric.estimation.mixed_model import (
     minimise_soon,
 )
 from difffric.estimation.stacked_data import RECORDINGS, FitData, padded
-from difffric.rig import parameters
+from difffric.rig.parameters import PARAMETERS
 from difffric.rig.rig import Rig
 
 ROUNDS = 25
@@ -37,7 +38,6 @@ HUBER = 1.345
 where the noise is normal): P. J. Huber, Ann. Math. Statist. 35 (1964)."""
 _UNFELT = 1e-3
 """A parameter whose e-fold change moves no residual by more than this many spreads is gone."""
-_MAY_VANISH = ("b_N_s_per_m",)
 OTHERWISE = (-3.0, -1.5, -0.7, 0.7, 1.5, 3.0)
 """Where else each push's own mu_s is looked for, in units of the scatter."""
 _TRIAL = 15
@@ -121,7 +121,7 @@ def problem_of(model: Model, data: FitData, held, theta, scatter, weights, trust
     starts = np.zeros(whole)
     starts[:n] = float(model.free_start)
     return Problem(
-        rig=parameters.as_arrays(model.rig),
+        rig=pytrees.as_arrays(model.rig),
         integrator=model.integrator,
         pushes=data.pushes,
         selection=padded(selection, n),
@@ -337,7 +337,7 @@ def _at_bounds(model: Model, data: FitData, at: Settled) -> NDArray:
     rows = np.asarray(at.end.rows)[: data.n]
     J = np.abs((rows[..., :-1] @ layout.selection) * at.weights[..., None])
     felt = np.sqrt((J**2).sum(axis=1)).max(axis=0, initial=0.0)
-    gone = (felt < _UNFELT) & np.array([name in _MAY_VANISH for name in layout.names], bool)
+    gone = (felt < _UNFELT) & np.array([PARAMETERS[name].may_vanish for name in layout.names], bool)
     return (beyond | gone) & ~at.held
 
 
@@ -362,4 +362,4 @@ def _leaving(model: Model, data: FitData, at: Settled) -> NDArray:
 
 def start_offsets(at: Settled) -> NDArray:
     """Each push's start offset [s]; 0 where it was not free."""
-    return LINEAR[START] * at.start
+    return to_value(START, at.start)

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from difffric.compute import pytrees
 from difffric.estimation.coordinates import START, rig_at, to_value
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
@@ -127,7 +128,7 @@ class TracePush(NamedTuple):
         def residual(c):
             at = _stroked(rig_at(rig, c), self.stroke)
             push = Push.of(at, self.velocity, integrator)
-            trajectory = Trajectory.of(parameters.as_arrays(push), TRACE_CYCLES, TRACE_STRIDES)
+            trajectory = Trajectory.of(pytrees.as_arrays(push), TRACE_CYCLES, TRACE_STRIDES)
             offset = to_value(START, c[-1])
             t_force = jnp.asarray(self.force.t) - offset
             own = self.position.t

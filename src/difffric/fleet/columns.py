@@ -15,9 +15,10 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from difffric.calibration.calibrate import rigs_of
 from difffric.compute.precision import require_float64
-from difffric.estimation.coordinates import LINEAR
+from difffric.compute.pytrees import pick
+from difffric.estimation.coordinates import to_value
+from difffric.estimation.push_rigs import rigs_of
 from difffric.estimation.stacked_data import sensor_errors
 from difffric.identification.estimators import (
     Calibration,
@@ -30,7 +31,6 @@ from difffric.identification.free_slide import slide_friction
 from difffric.identification.inversion import BRACKET, invert
 from difffric.identification.surrogates import weighted
 from difffric.measurements.pushes import COLUMNS, Pushes
-from difffric.rig.parameters import pick
 from difffric.rig.setup import Setup
 from difffric.simulation.segments import default_integrator
 
@@ -211,7 +211,7 @@ def _slides(rigs, pushes: Pushes, error, names, roots) -> tuple[NDArray, NDArray
         return np.full(len(pushes), np.nan), np.full(len(pushes), np.nan)
     k_v = np.zeros(len(v))
     if _K_V in names:
-        k_v = LINEAR[_K_V] * np.linalg.norm(roots[:, names.index(_K_V)], axis=1)
+        k_v = to_value(_K_V, np.linalg.norm(roots[:, names.index(_K_V)], axis=1))
     v_se = pushes.release_velocity_se
     v_se = np.where(np.isnan(v_se) & pushes.free_slides, 0.0, v_se)
     found = [

@@ -12,11 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.calibration.calibrate import rigs_of
 from difffric.calibration.result import Fit
+from difffric.compute import pytrees
+from difffric.compute.pytrees import pick
 from difffric.compute.xla_options import soon_compiled
 from difffric.estimation import coordinates
-from difffric.estimation.coordinates import LINEAR
+from difffric.estimation.coordinates import shift_value, to_value
+from difffric.estimation.push_rigs import rigs_of
 from difffric.estimation.stacked_data import sensor_errors
 from difffric.identification.estimates import NONE, Estimate, Identified, PushFriction
 from difffric.identification.free_slide import slide_friction
@@ -29,7 +31,6 @@ from difffric.measurements.recordings import Recordings
 from difffric.measurements.reduction.reduce import Reduction, reduce_recordings
 from difffric.progress import Tell, silent
 from difffric.rig import parameters
-from difffric.rig.parameters import pick
 from difffric.rig.rig import Rig
 from difffric.rig.setup import Setup, check_rig
 from difffric.simulation.families import MU_S, SPEEDS_MM_MIN
@@ -180,7 +181,7 @@ def _inverted(known, rigs, pushes, roots, range_ratio, options) -> list[PushFric
 def range_ratio_of(rig: Rig, integrator) -> float:
     """Delta F / Delta d of equation (7) [N/m], as `Family.range_ratio`, over the paper's range."""
     v, mu_s = (x.ravel() for x in np.meshgrid(from_mm_min(SPEEDS_MM_MIN), MU_S, indexing="ij"))
-    rigs = parameters.spread(rig, mu_s.size)
+    rigs = pytrees.replicate(rig, mu_s.size)
     (F, d), _, _ = both_at(rigs, v, mu_s, integrator)
     return float(np.ptp(F) / (np.nanmax(d) - np.nanmin(d)))
 
@@ -199,7 +200,7 @@ def _with_slides(known, rigs, pushes, roots, answers) -> list[PushFriction]:
         return answers
     k_v = np.zeros((len(pushes), roots.shape[2]))
     if "k_v_N_s_per_m" in known.names:
-        k_v = LINEAR["k_v_N_s_per_m"] * roots[:, known.names.index("k_v_N_s_per_m")]
+        k_v = to_value("k_v_N_s_per_m", roots[:, known.names.index("k_v_N_s_per_m")])
     d_se = pushes.sliding_distance_se
     sensor = sensor_errors(known.rig)[1]
     d_se = np.where(np.isnan(d_se), np.nan if sensor is None else sensor, d_se)
@@ -291,11 +292,6 @@ def combine(pushes, i, force, distance, se, gradient, root, range_ratio, regime)
     )
 
 
-def _shifted(name: str, value, shift):
-    """A value whose coordinate is moved."""
-    return value + LINEAR[name] * shift if name in LINEAR else value * jnp.exp(shift)
-
-
 @soon_compiled
 def _at(rigs, velocity, mu_s, free, integrator):
     """(F_p, d), their derivatives by the coordinates of `free`, and the regime, at each mu_s."""
@@ -303,7 +299,7 @@ def _at(rigs, velocity, mu_s, free, integrator):
     def one(rig, velocity, mu_s):
         def measured(shift):
             values = parameters.values(rig)
-            new = {name: _shifted(name, values[name], shift[i]) for i, name in enumerate(free)}
+            new = {name: shift_value(name, values[name], shift[i]) for i, name in enumerate(free)}
             rig_at = parameters.with_values(rig, {**new, "mu_s": mu_s})
             seen = observe(rig_at, velocity, integrator)
             both = jnp.stack([seen.peak_force, seen.sliding_distance])

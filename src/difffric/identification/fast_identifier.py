@@ -14,10 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from difffric.compute.bracketed_newton import solve
-from difffric.compute.native import in_one_piece
 from difffric.compute.precision import require_float64
+from difffric.compute.xla_options import in_one_piece
 from difffric.errors import InputError
+from difffric.identification.crossing import find_crossing
 from difffric.identification.inversion import BRACKET
 from difffric.rig.rig import Rig
 
@@ -74,7 +74,9 @@ def _program(structure):
     def one(rig, velocity, target, se, by_force, bracket):
         known = target > 0  # and not NaN; what is not is sought in one point, which takes no time
         bracket = bracket[0], jnp.where(known, bracket[1], bracket[0])
-        root = solve(rig, velocity, jnp.where(known, target, 1.0), by_force, bracket, by_force)
+        root = find_crossing(
+            rig, velocity, jnp.where(known, target, 1.0), by_force, bracket, by_force
+        )
         good = known & root.solved & (root.slope != 0)
         mu_s = jnp.where(good, root.mu_s, jnp.nan)
         return mu_s, jnp.where(good, se / jnp.abs(jnp.where(good, root.slope, 1.0)), jnp.nan)

@@ -14,11 +14,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from difffric.compute import pytrees
 from difffric.compute.event_root import HIT
 from difffric.compute.program_cache import kept
+from difffric.compute.pytrees import pick
 from difffric.errors import InputError
 from difffric.rig import parameters
-from difffric.rig.parameters import pick
 from difffric.rig.rig import Rig
 from difffric.simulation.observables import observe
 from difffric.units import to_um
@@ -70,7 +71,7 @@ def invert(
     velocity, target = velocity.astype(float), target.astype(float)
     n = len(target)
     try:
-        rigs = parameters.spread(rigs, n)
+        rigs = pytrees.replicate(rigs, n)
     except ValueError as error:
         raise InputError(
             f"invert: the rig's numbers must be one value or {n}, one a push"
@@ -163,12 +164,12 @@ def _in_chunks(function, arrays, n):
 
 @kept
 def _solve_batch(rigs, velocity, target, by_force, bracket, rising, integrator):
-    from difffric.compute.bracketed_newton import (
-        solve,  # here, as a kept program needs no optimistix
+    from difffric.identification.crossing import (
+        find_crossing,  # here: a kept program needs no optimistix
     )
 
     def one(rig, velocity, target, bracket, rising):
-        return solve(rig, velocity, target, by_force, bracket, rising, integrator)
+        return find_crossing(rig, velocity, target, by_force, bracket, rising, integrator)
 
     return jax.vmap(one)(rigs, velocity, target, bracket, rising)
 

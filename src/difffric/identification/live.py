@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from difffric.acquisition.card import VOLTS_PER_WORD
 from difffric.acquisition.recorder import Acquired, Command
-from difffric.calibration.calibrate import rigs_of
+from difffric.compute.pytrees import pick
 from difffric.errors import DifffricError
+from difffric.estimation.push_rigs import rigs_of
 from difffric.estimation.stacked_data import sensor_errors
 from difffric.identification.estimates import PushFriction
 from difffric.identification.estimators import Calibration, around, combine, root_of
@@ -23,7 +24,6 @@ from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Channel, Recording, Recordings
 from difffric.measurements.reduction.reduce import Reduced, Reduction, reduce_recordings
 from difffric.progress import Tell, silent
-from difffric.rig.parameters import pick
 from difffric.rig.rig import Rig
 from difffric.rig.sensors import ForceSensor
 from difffric.rig.setup import Setup

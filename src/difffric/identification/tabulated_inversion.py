@@ -11,8 +11,8 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.compute.bracketed_newton import solve
 from difffric.compute.xla_options import soon_compiled
+from difffric.identification.crossing import find_crossing
 from difffric.identification.inversion import BRACKET, Inversion, Quantity, answer_of
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
@@ -116,6 +116,6 @@ def _observed(rig, velocity, mu_s, integrator):
 @soon_compiled
 def _solved(rig, velocity, target, by_force, brackets, rising, integrator):
     def one(bracket, rising):
-        return solve(rig, velocity, target, by_force, bracket, rising, integrator)
+        return find_crossing(rig, velocity, target, by_force, bracket, rising, integrator)
 
     return jax.vmap(one)(brackets, rising)

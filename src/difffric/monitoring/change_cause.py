@@ -18,6 +18,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from difffric.compute import pytrees
 from difffric.compute.xla_options import soon_compiled
 from difffric.identification.tabulated_inversion import Curve
 from difffric.measurements.pushes import Pushes
@@ -230,7 +231,7 @@ def _moved(curve: Curve, log_mu_s: float, names, which: int, delta: float):
     """(F_p, d) of a setting where the logarithm of one parameter has changed by delta, and their
     derivatives by it."""
     along = np.eye(len(names))[which]
-    rig = parameters.as_arrays(_with_sensors(curve.rig))
+    rig = pytrees.as_arrays(_with_sensors(curve.rig))
     given = (np.asarray(x, float) for x in (curve.velocity, log_mu_s, along, delta))
     both, by = _observed(rig, *given, names, curve.integrator)
     return np.asarray(both), np.asarray(by)

@@ -18,12 +18,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.calibration.calibrate import rigs_of
+from difffric.compute.pytrees import pick
+from difffric.estimation.push_rigs import rigs_of
 from difffric.estimation.stacked_data import sensor_errors
 from difffric.identification.tabulated_inversion import Curve
 from difffric.measurements.pushes import Pushes
 from difffric.rig import parameters
-from difffric.rig.parameters import pick
 from difffric.rig.rig import Rig
 from difffric.simulation.batch import Batch, observe_batch
 from difffric.simulation.segments import default_integrator

@@ -17,10 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.compute.native import in_one_piece
 from difffric.compute.precision import require_float64
 from difffric.compute.program_cache import own, program
-from difffric.compute.xla_options import known_options
+from difffric.compute.xla_options import in_one_piece, known_options
 from difffric.errors import InputError
 from difffric.rig import parameters
 from difffric.rig.rig import Rig

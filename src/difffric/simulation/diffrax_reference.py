@@ -19,6 +19,7 @@ from jax import Array
 from jax.lax import stop_gradient
 
 from difffric.compute.event_root import falling_root
+from difffric.compute.pytrees import select
 from difffric.errors import InputError
 from difffric.rig.rig import Rig
 from difffric.simulation.leg import CATCH, HALT, NONE, RELEASE, STOP, TURN, Leg, first_event
@@ -290,10 +291,10 @@ class Diffrax(eqx.Module):
                 (N_0, dN_0), (N_1, dN_1) = motion.force(y_0), motion.force(y_1)
                 height = jnp.maximum(N_0, N_1)
                 higher = (dN_0 > 0) & (dN_1 <= 0) & (height > m.height)
-                new = _select(higher, new._replace(summit=new.last, height=height), new)
+                new = select(higher, new._replace(summit=new.last, height=height), new)
             passed = [motion.before(event, y_1) <= 0 for event in guards]
             over = lost | new.steady | (t >= until) | jnp.any(jnp.array(passed, bool))
-            return _select(keep, new._replace(over=over), m)
+            return select(keep, new._replace(over=over), m)
 
         # A leg that starts beyond a guard ends at once; on it, as after an event, it does not.
         wrong = jnp.any(jnp.array([motion.before(event, y) < -1e-12 for event in guards], bool))
@@ -358,7 +359,7 @@ class Diffrax(eqx.Module):
     def _checked(self, march, leg):
         """The leg; where it could not be followed to its end, NaN and an infinite peak."""
         lost = Leg(jnp.nan, NONE, jnp.nan, jnp.nan, slid=jnp.nan, peak=jnp.inf)
-        return _select(~march.over | ~jnp.isfinite(march.h), lost, leg)
+        return select(~march.over | ~jnp.isfinite(march.h), lost, leg)
 
 
 def _terms(motion):
@@ -376,7 +377,3 @@ def _reach(contact, v_p, force):
 
 def _is_number(leaf):
     return eqx.is_inexact_array(leaf) or isinstance(leaf, float)
-
-
-def _select(condition, new, old):
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)

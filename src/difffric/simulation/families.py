@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from difffric.compute import pytrees
 from difffric.compute.xla_options import soon_compiled
 from difffric.identification.surrogates import DistanceSurrogate, ForceSurrogate
 from difffric.rig import parameters
@@ -68,6 +69,6 @@ def family(rig: Rig, velocity=None, mu_s=None, integrator=None) -> Family:
     velocity = from_mm_min(SPEEDS_MM_MIN) if velocity is None else np.asarray(velocity, float)
     mu_s = MU_S if mu_s is None else np.asarray(mu_s, float)
     F, d, regime = _grid(
-        parameters.as_arrays(rig), jnp.asarray(velocity), jnp.asarray(mu_s), integrator
+        pytrees.as_arrays(rig), jnp.asarray(velocity), jnp.asarray(mu_s), integrator
     )
     return Family(velocity, mu_s, np.asarray(F), np.asarray(d), np.asarray(regime))

@@ -11,8 +11,8 @@ import numpy as np
 from jax import Array
 from numpy.typing import NDArray
 
+from difffric.compute import pytrees
 from difffric.compute.program_cache import kept
-from difffric.rig import parameters
 from difffric.rig.rig import Rig
 from difffric.simulation import segments as sim
 from difffric.simulation.stepping.integrator import RungeKutta
@@ -58,7 +58,7 @@ def observe(rig: Rig, velocity, integrator: sim.Integrator | None = None) -> Obs
     jit what is built on it, as you like.
     """
     push = sim.Push.of(rig, velocity, integrator)
-    return _observed(parameters.as_arrays(push))
+    return _observed(pytrees.as_arrays(push))
 
 
 @kept

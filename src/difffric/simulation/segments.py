@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from difffric.compute.precision import require_float64
+from difffric.compute.pytrees import select
 from difffric.rig.rig import Rig
 from difffric.simulation.closed_form import ClosedForm
 from difffric.simulation.dynamics import CLOSING, FREE, REBOUNDING, STUCK
@@ -79,10 +80,6 @@ class State(NamedTuple):
         return at_rest | self.endless | too_long
 
 
-def _select(condition, new, old):
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)
-
-
 class Integrator(Protocol):
     """What solves the legs of a push: `ClosedForm`, or `Diffrax` as a reference. `RungeKutta`
     follows a push by itself."""
@@ -147,7 +144,7 @@ class Push(NamedTuple):
         starts = [state.segment]
         steps = (self._stuck, self._closing, self._rebounding, self._free)
         for mode, step in enumerate(steps):
-            state = _select((state.segment.mode == mode) & ~state.over, step(state), state)
+            state = select((state.segment.mode == mode) & ~state.over, step(state), state)
             starts.append(state.segment)
         # Energy only falls: what the first rebound did not part, no later one will.
         never = self.rig.pusher.stops_at_release() & ~state.lost
@@ -199,7 +196,7 @@ class Push(NamedTuple):
         never = leg.event == NONE
         after = self._advance(s, leg.dt, leg.event, mode, leg.z, leg.u)
         return state._replace(
-            segment=_select(never, s, after),
+            segment=select(never, s, after),
             peak=jnp.where(higher, leg.peak, state.peak),
             peak_contact=jnp.where(higher, state.contacts, state.peak_contact),
             endless=state.endless | never,
@@ -217,7 +214,7 @@ class Push(NamedTuple):
         stands = released & self.rig.pusher.stops_at_release()
         after = after._replace(v_p=jnp.where(stands, 0.0, after.v_p))
         return state._replace(
-            segment=_select(never, s, after),
+            segment=select(never, s, after),
             lost=state.lost | released,
             lost_moving=jnp.where(released, s.v_p > 0, state.lost_moving),
             in_contact=state.in_contact & ~released,

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from difffric.compute import pytrees
 from difffric.compute.program_cache import kept
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
@@ -41,7 +42,7 @@ def sensitivity(rig: Rig, velocity, integrator=None) -> Sensitivity:
         seen = jax.tree.map(lambda leaf: leaf[0], seen)
         columns = {name: (dF[i], dd[i]) for i, name in enumerate(point)}
     else:  # one small program, called for each parameter: it compiles and loads in less time
-        rig = parameters.as_arrays(rig)
+        rig = pytrees.as_arrays(rig)
         found = {n: _directional_jit(rig, point, _along(point, n), integrator) for n in point}
         seen = found[VELOCITY][2]
         columns = {name: answer[:2] for name, answer in found.items()}
@@ -92,7 +93,7 @@ def regime_margin(rig: Rig, velocity, integrator=None) -> Margin:
     Infinite where the scan finds no change.
     """
     mu_s = float(parameters.values(rig)["mu_s"])
-    rig, velocity = parameters.as_arrays(rig), jnp.asarray(velocity, float)
+    rig, velocity = pytrees.as_arrays(rig), jnp.asarray(velocity, float)
     here = int(_kinds(rig, velocity, integrator, np.array([mu_s]))[0])
     steps = [np.geomspace(1e-8, top, 48) for top in (0.999, 9.0)]
     found = [np.inf, np.inf]

@@ -9,6 +9,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
+from difffric.compute import pytrees
 from difffric.compute.program_cache import kept
 from difffric.errors import InputError
 from difffric.rig import parameters
@@ -187,7 +188,7 @@ def simulate(
         if not 0 < float(velocity) < np.inf:
             raise InputError(f"velocity: expected a number > 0, got {velocity}")
     push = Push.of(rig, velocity, integrator)
-    arrays = parameters.as_arrays((push.rig, push.velocity))
+    arrays = pytrees.as_arrays((push.rig, push.velocity))
     return _follow(push._replace(rig=arrays[0], velocity=arrays[1]))
 
 

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 import difffric as df
-from difffric.compute.arrow import Arrow
+from difffric.compute import pytrees
+from difffric.compute.levenberg_marquardt import ArrowSolver
 from difffric.estimation import coordinates, mixed_model
 from difffric.estimation.mixed_model import Point
 from difffric.estimation.residuals import Grid, TracePush
@@ -239,7 +240,7 @@ def test_free_slides_give_mu_s_and_its_scatter():
 def test_a_slide_is_inverted_exactly(k_v):
     v, mu = np.array([0.02, 0.1, 0.6]), np.array([0.05, 0.15, 0.4])
     d = np.array([slide(18.9, m, 0.75, k_v, u) for m, u in zip(mu, v, strict=True)])
-    rigs = parameters.spread(df.spring_damper_rig(mass=18.9, mu_s=0.1, k=8e5, b=1500.0, k_v=k_v), 3)
+    rigs = pytrees.replicate(df.spring_damper_rig(mass=18.9, mu_s=0.1, k=8e5, b=1500.0, k_v=k_v), 3)
     found, _ = slide_friction(rigs, v, np.zeros(3), d, np.zeros(3))
     np.testing.assert_allclose(found, mu, rtol=1e-9)
 
@@ -323,7 +324,7 @@ def test_the_arrow_is_solved_as_the_dense_matrix(starts):
     operator = lx.FunctionLinearOperator(apply, jax.eval_shape(lambda: x))
     shape = jax.eval_shape(apply, x)
     b = jax.tree.map(lambda part: jnp.asarray(rng.normal(size=part.shape)), shape)
-    found = lx.linear_solve(operator, b, Arrow()).value
+    found = lx.linear_solve(operator, b, ArrowSolver()).value
     expected = lx.linear_solve(operator, b, lx.QR()).value
     for mine, theirs in zip(found, expected, strict=True):
         np.testing.assert_allclose(mine, theirs, rtol=1e-9, atol=1e-12)
@@ -339,7 +340,7 @@ def test_the_rows_of_a_table_are_measured_minus_model_and_its_derivatives(table)
     c = jnp.array([float(coordinates.to_coordinate(x, values.get(x, 0.0))) for x in every])
     for i in (0, 5):
         push = jax.tree.map(lambda a, i=i: a[i], data.pushes)
-        rows = np.asarray(push.respond(parameters.as_arrays(rig), ClosedForm(), c).rows)
+        rows = np.asarray(push.respond(pytrees.as_arrays(rig), ClosedForm(), c).rows)
         point = sensitivity(rig, table.velocity[i])
         assert rows[0, -1] == pytest.approx(
             table.peak_force[i] - float(point.observables.peak_force)
@@ -354,7 +355,7 @@ def test_the_triangle_of_a_recording_keeps_its_normal_equations(monkeypatch):
     """R' R = [J r]' [J r], and block means agree with the mean over their samples."""
     from difffric.estimation import residuals
 
-    rig = parameters.as_arrays(parameters.with_stroke(rough(1, 1, 1), 2e-3))
+    rig = pytrees.as_arrays(parameters.with_stroke(rough(1, 1, 1), 2e-3))
     size, dt = 4, 5e-5
     fine = dt * (np.arange(3000) + 0.5)
     trajectory = df.simulate(rig, 0.05)

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import difffric as df
-from difffric.compute.bracketed_newton import solve
+from difffric.compute import pytrees
+from difffric.identification.crossing import find_crossing
 from difffric.identification.inversion import BRACKET, FLAT, invert
 from difffric.rig import parameters
 from difffric.simulation.sensitivities import regime_margin, sensitivity
@@ -32,7 +33,7 @@ def random_rigs(n, stroke):
         mu_k_over_mu_s=jnp.full(n, 0.75),
         stroke=None if stroke is None else jnp.array(rng.uniform(*stroke, n)),
     )
-    return parameters.spread(rig, n), rng.uniform(0.008, 0.09, n), mu_s
+    return pytrees.replicate(rig, n), rng.uniform(0.008, 0.09, n), mu_s
 
 
 @pytest.mark.parametrize("stroke", [None, (3e-4, 2.5e-3)], ids=["no stroke", "stroke"])
@@ -57,7 +58,7 @@ def test_round_trip_to_1e_9_wherever_the_quantity_determines_mu_s(stroke):
 
 def test_every_root_gives_the_measured_distance():
     """With a 2 mm stroke d is not monotone in mu_s; each alternative is a true solution."""
-    rig = parameters.spread(df.spring_damper_rig(**PAPER, stroke=2e-3), 40)
+    rig = pytrees.replicate(df.spring_damper_rig(**PAPER, stroke=2e-3), 40)
     velocity = np.linspace(0.013, 0.025, 40)
     mu_s = rng.uniform(0.05, 0.3, 40)
     observe = eqx.filter_jit(eqx.filter_vmap(df.observe))
@@ -69,7 +70,7 @@ def test_every_root_gives_the_measured_distance():
         if not len(roots):
             continue
         copies = parameters.with_values(
-            parameters.pick(rig, np.zeros(len(roots), int)), {"mu_s": roots}
+            pytrees.pick(rig, np.zeros(len(roots), int)), {"mu_s": roots}
         )
         again = np.asarray(observe(copies, jnp.full(len(roots), v)).sliding_distance)
         np.testing.assert_allclose(again, target, rtol=1e-8)
@@ -78,7 +79,7 @@ def test_every_root_gives_the_measured_distance():
 def test_the_root_that_the_force_supports_is_taken():
     rig = df.spring_damper_rig(**PAPER, stroke=2e-3)
     velocity, truth = np.linspace(0.013, 0.025, 30), rng.uniform(0.06, 0.3, 30)
-    rigs = parameters.with_values(parameters.spread(rig, 30), {"mu_s": truth})
+    rigs = parameters.with_values(pytrees.replicate(rig, 30), {"mu_s": truth})
     seen = eqx.filter_jit(eqx.filter_vmap(df.observe))(rigs, velocity)
     d = np.asarray(seen.sliding_distance)
     some = np.isfinite(d)
@@ -103,7 +104,7 @@ def test_the_root_that_the_force_supports_is_taken():
 )
 def test_a_value_that_no_mu_s_gives_returns_the_bound_it_breaks(quantity, target, says):
     (answer,) = invert(
-        parameters.spread(df.spring_damper_rig(**PAPER), 1), [0.05], [target], quantity
+        pytrees.replicate(df.spring_damper_rig(**PAPER), 1), [0.05], [target], quantity
     )
     assert answer.value is None and says in answer.reason
 
@@ -112,7 +113,7 @@ def test_optimistix_root_differentiates_by_the_implicit_function():
     rig = df.spring_damper_rig(**PAPER)
 
     def mu_s(F):
-        return solve(rig, 0.05, F, True, BRACKET, True).mu_s
+        return find_crossing(rig, 0.05, F, True, BRACKET, True).mu_s
 
     F = df.observe(rig, 0.05).peak_force
     slope = sensitivity(rig, 0.05).peak_force["mu_s"]
@@ -177,7 +178,7 @@ def test_unknown_noise_gives_no_error_bar_and_no_optimum():
 def test_calibration_finds_the_rig_from_a_start_a_factor_of_three_off():
     truth = df.spring_damper_rig(**PAPER)
     v, mu_s = np.tile(np.linspace(0.015, 0.08, 8), 2), np.repeat([0.12, 0.2], 8)
-    rigs = parameters.with_values(parameters.spread(truth, 16), {"mu_s": mu_s})
+    rigs = parameters.with_values(pytrees.replicate(truth, 16), {"mu_s": mu_s})
     seen = jax.vmap(df.observe)(rigs, jnp.asarray(v))
     F = np.asarray(seen.peak_force) + 0.5 * rng.standard_normal(16)
     d = np.asarray(seen.sliding_distance) + 1e-6 * rng.standard_normal(16)

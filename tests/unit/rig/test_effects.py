@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import difffric as df
+from difffric.compute import pytrees
 from difffric.errors import InputError
 from difffric.rig import catalogue, parameters
 from difffric.rig.rig import spring_damper_rig
@@ -115,11 +116,11 @@ def test_an_entry_is_whole(effect):
 def test_the_rig_with_all_effects_has_one_structure():
     """What a compiled program is kept by, whichever effects are on."""
     rig = catalogue.universal(PLAIN)
-    kind = jax.tree.structure(parameters.as_arrays(rig))
+    kind = jax.tree.structure(pytrees.as_arrays(rig))
     for effect in VANISHING:
         names = {f"{effect.id}.{key.name}": key.typical for key in effect.keys if not key.fixed}
         new = parameters.with_values(rig, names)
-        assert jax.tree.structure(parameters.as_arrays(new)) == kind
+        assert jax.tree.structure(pytrees.as_arrays(new)) == kind
         assert new != rig or not names
 
 

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from difffric.calibration import calibrate
 from difffric.calibration.result import Fit
 from difffric.commands.reports.simulate import simulate_answer
+from difffric.compute import pytrees
 from difffric.errors import InputError
 from difffric.measurements.pushes import Pushes
 from difffric.rig import catalogue, friction, parameters
@@ -359,7 +360,7 @@ def test_good_rigs_pass_unchanged():
     for rig in (
         every,
         catalogue.universal(PLAIN),
-        catalogue.universal(parameters.spread(PLAIN, 3)),
+        catalogue.universal(pytrees.replicate(PLAIN, 3)),
     ):
         assert check_rig(rig) is rig
 
@@ -414,7 +415,7 @@ def test_fit_frees_what_the_file_frees_and_the_answer_can_be_written(file, monke
         seen.append(model.layout)
         raise InputError("enough")
 
-    monkeypatch.setattr(calibrate, "best_fit", search)
+    monkeypatch.setattr(calibrate, "fit_from_starts", search)
     speeds = np.linspace(0.02, 0.09, 8)
     pushes = Pushes(speeds, speeds * 3000, speeds**2)
     with pytest.raises(InputError, match="enough"):

@@ -17,7 +17,8 @@ from jax import Array
 from jax.lax import stop_gradient
 
 from difffric.compute import hermite
-from difffric.compute.native import in_one_piece
+from difffric.compute.pytrees import select
+from difffric.compute.xla_options import in_one_piece
 from difffric.simulation.dynamics import (
     BOTTOM,
     BREAK,
@@ -44,10 +45,6 @@ MAX_STEPS = 20_000
 _FINEST = 1e-5  # of the push's own time
 _CLOSE = 1e-4  # of a free step: an event this near to the end is reached by the Taylor step
 _SHARES = (0.25, 0.5, 0.75)  # of a step: where its inside is looked at for a dip
-
-
-def _select(condition, new, old):
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)
 
 
 class Marcher(NamedTuple):
@@ -217,8 +214,8 @@ class Marcher(NamedTuple):
             earlier = where < first
             first = jnp.where(earlier, where, first)
             event = jnp.where(earlier, code, event)
-            jet = _select(earlier, jet_1, jet)
-            curve = _select(earlier, p, curve)
+            jet = select(earlier, jet_1, jet)
+            curve = select(earlier, p, curve)
         passed = first <= 1.0
         x = jnp.where((aim == event) & (miss_aim < near), 1.0, hermite.root(curve, first))
         arrived = good & passed & (x >= 1 - near)
@@ -257,7 +254,7 @@ class Marcher(NamedTuple):
             h_target=x * h,
             h=jnp.where(good, m.h, h * jnp.clip(0.9 * err**-0.25, 0.1, 0.7)),
         )
-        new = _select(accept, done, again)
+        new = select(accept, done, again)
         lost = new.h < 1e-13 * self.time
         for_ever = steady & pusher.stops_at_release()
         new = new._replace(

@@ -9,7 +9,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from difffric.compute.native import in_one_piece
+from difffric.compute.pytrees import select
+from difffric.compute.xla_options import in_one_piece
 from difffric.rig.rig import Rig
 from difffric.simulation.dynamics import Motion
 from difffric.simulation.stepping.dense_output import Stride
@@ -19,10 +20,6 @@ from difffric.simulation.stepping.state import March
 
 _FEW = 16
 """Strides that filters are taken through at once."""
-
-
-def _select(condition, new, old):
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)
 
 
 class Path(NamedTuple):
@@ -42,7 +39,7 @@ class Path(NamedTuple):
         stride = jax.tree.map(lambda column: column[i], self.strides)
         share = (time - stride.t) / stride.h
         over = time >= self.end.s.t
-        course = _select(over, self.end.course, stride.course)
+        course = select(over, self.end.course, stride.course)
         return stride._replace(course=course), i, jnp.clip(share, 0.0, 1.0), over
 
     def evaluate(self, time):
@@ -50,7 +47,7 @@ class Path(NamedTuple):
         stride, _, share, over = self._at(time)
         s = stride.point(self.motion, share)
         end = self.end.s
-        s = _select(over, end, s._replace(q=end.q))
+        s = select(over, end, s._replace(q=end.q))
         force = jnp.where(time >= 0, self.motion.force(stride.course, s), 0.0)
         return force, self.motion.position(s), jnp.where(over, 0.0, s.u)
 
@@ -112,7 +109,7 @@ def follow_together(marcher: Callable[[Rig, Array], Marcher], rigs: Rig, v, rows
         # A step that is taken again has the time of the next one, which is found in its place;
         # filters pass over it.
         taken = on & (new.strides > m.strides)
-        return _select(on, new, m), stride._replace(
+        return select(on, new, m), stride._replace(
             t=jnp.where(on, stride.t, jnp.inf), end=jnp.where(taken, stride.end, 0.0)
         )
 
