@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.calibration.calibrate import FREE
+from difffric.calibration.free_parameters import USUAL_SCATTER, choose_free, given_values
 from difffric.errors import InputError
 from difffric.estimation.coordinates import layout, slope
 from difffric.estimation.information import design_data, information, responses
@@ -24,8 +24,6 @@ from difffric.simulation.segments import default_integrator
 
 ASSUMED = 0.01
 """The relative standard error of F_p and d where neither the pushes nor the sensors say one."""
-SCATTER = 0.03
-"""The scatter of mu_s where the set-up gives none."""
 
 
 @dataclass(frozen=True)
@@ -91,13 +89,10 @@ def identifiable(
     for value, what in zip(noise, ("force", "distance"), strict=True):
         if value is not None and not (np.isfinite(value) and value > 0):
             raise InputError(f"noise: that of the {what} is {value}: expected a number > 0")
-    gauged = not np.isnan(pushes.mu_s_gauge).any()
-    names = _free(setup, free, gauged, pushes.free_slides)
-    given = {"mass_kg": pushes.mass}
-    if gauged and "mu_s" not in names:
-        given["mu_s"] = pushes.mu_s_gauge
+    names = choose_free(setup, pushes, free)
+    given = given_values(pushes, names)
     arranged = layout(base, names, per_condition, pushes.condition, given, {}, {})
-    scatter = SCATTER if setup.mu_s_scatter is None else setup.mu_s_scatter
+    scatter = USUAL_SCATTER if setup.mu_s_scatter is None else setup.mu_s_scatter
     scatter = scatter if "mu_s" in names else 0.0
     spread_rig, data = design_data(base, pushes)
     model = Model(spread_rig, default_integrator(base), arranged, scatter, False)
@@ -109,7 +104,7 @@ def identifiable(
     weights = _weights(base, pushes, answers, noise, notes)
     X = information(derivatives, weights, arranged.selection, scatter).sum(axis=0)
     if "mu_s" in names and setup.mu_s_scatter is None:
-        notes.append(f"the set-up gives no scatter of mu_s: {100 * SCATTER:g} % is assumed")
+        notes.append(f"the set-up gives no scatter of mu_s: {100 * USUAL_SCATTER:g} % is assumed")
     if np.isnan(answers[:, 1]).any():
         notes.append(f"{int(np.isnan(answers[:, 1]).sum())} pushes give no sliding distance")
     covariance = inverse(X)
@@ -128,19 +123,6 @@ def identifiable(
     return Identifiability(
         arranged.labels, groups, errors, X, answers[:, 0], answers[:, 1], tuple(notes)
     )
-
-
-def _free(setup: Setup, free, gauged: bool, slides: bool) -> tuple[str, ...]:
-    """The free parameters: those asked for, else those that a fit would take."""
-    if free is not None:
-        return tuple(dict.fromkeys(free))
-    said = {k: x.free for k, x in setup.extras.items()}
-    known = parameters.names(setup.rig)
-    names = [x for x in FREE if said.get(x) is not False and x in known]
-    names += [x for x in known if said.get(x) and x not in names]
-    gone = {"mu_s"} if gauged else set()
-    gone |= {"k_N_per_m", "b_N_s_per_m"} if slides else set()
-    return tuple(x for x in names if x not in gone)
 
 
 def _weights(rig: Rig, pushes: Pushes, answers: NDArray, noise, notes: list[str]) -> NDArray:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from difffric.calibration.marginal_likelihood import minus_2_log_likelihood
 from difffric.calibration.restarts import starts_elsewhere
+from difffric.calibration.result import FitState
 from difffric.calibration.table_starts import other_branches, ranked_starts
 from difffric.errors import NumericalError
 from difffric.estimation.coordinates import Layout
@@ -51,7 +52,7 @@ _COOLER = 0.3
 _LEAST_COOLED = 2e-3
 
 
-def box_of_starts(layout: Layout, several: bool = True) -> list[NDArray]:
+def make_starts(layout: Layout, several: bool = True) -> list[NDArray]:
     """The set-up's own values, and a grid about its stiffness, damping and friction."""
     own = np.clip(layout.start, layout.lower, layout.upper)
     if not several:
@@ -101,9 +102,9 @@ def descents(model: Model, data: FitData, starts: list[NDArray], tell: Tell) -> 
     return distinct
 
 
-def best_fit(
+def fit_from_starts(
     model: Model, data: FitData, box: list[NDArray], tell: Tell
-) -> tuple[Settled, tuple[int, int]]:
+) -> tuple[FitState, tuple[int, int]]:
     """The best of the fits settled from several starts, and how many of how many lead to it.
 
     Raises `NumericalError` where none is finite.
@@ -131,7 +132,7 @@ def best_fit(
                 break
         tell("cooling", 0.9)
         contest.cool()
-    return contest.best, (contest.reached, contest.tried)
+    return FitState(model, data, contest.best), (contest.reached, contest.tried)
 
 
 class _Contest:

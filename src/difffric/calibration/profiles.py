@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from difffric.calibration.result import LEVELS, Fit
 from difffric.errors import InputError, NumericalError
-from difffric.estimation.coordinates import LINEAR, to_value
+from difffric.estimation.coordinates import linear_step, to_value
 from difffric.estimation.mixed_fit import (
     ARRIVED,
     NOTHING,
@@ -197,7 +197,7 @@ class _Path:
         """Where the root of the rise is t on one side, or why nowhere."""
         error = float(np.sqrt(self.fit.covariance[self.j, self.j]))
         step = t * (error if 0 < error < FARTHEST else 0.1)
-        far = max(FARTHEST, 6 * step) if self.fit.names[self.j] in LINEAR else FARTHEST
+        far = max(FARTHEST, 6 * step) if linear_step(self.fit.names[self.j]) else FARTHEST
         end = self.upper if sign > 0 else self.lower
         last = self.start + sign * far
         if sign * (end - last) <= 0:

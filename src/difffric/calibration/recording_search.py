@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.calibration.multistart import ALIKE, FACTORS, REFINED, descents, first_search
+from difffric.calibration.result import FitState
 from difffric.calibration.table_starts import fit_of_forces, other_branches
 from difffric.errors import InputError, NumericalError
 from difffric.estimation import coordinates
@@ -51,7 +52,7 @@ _POOR = 1.15
 
 
 @dataclass(frozen=True)
-class SampleSearch:
+class RecordingSearch:
     """Fits the recordings of `reduction`; `model` says what of the rig is free."""
 
     model: Model
@@ -62,7 +63,7 @@ class SampleSearch:
     thorough: bool = True
     """whether further starts are followed where the fit is poor"""
 
-    def run(self) -> tuple[Model, FitData, Settled, tuple[int, int]]:
+    def run(self) -> tuple[FitState, tuple[int, int]]:
         """The best fit, and how many of the starts that were followed lead to it.
 
         Raises `NumericalError` where no start gives a finite misfit.
@@ -85,16 +86,16 @@ class SampleSearch:
                     found = self._follow(start)
                 except NumericalError:
                     continue
-                chi2 = found[2].components.chi2
-                if best is None or chi2 < best[2].components.chi2 - ALIKE:
+                chi2 = found.at.components.chi2
+                if best is None or chi2 < best.at.components.chi2 - ALIKE:
                     best, reached = found, 0
-                reached += chi2 < best[2].components.chi2 + ALIKE
-                good = best[2].components.chi2 < _FITS * best[1].samples
+                reached += chi2 < best.at.components.chi2 + ALIKE
+                good = best.at.components.chi2 < _FITS * best.data.samples
                 if reached > 1 or good or not self.thorough:
-                    return *best, (reached, tried)
+                    return best, (reached, tried)
         if best is None:
             raise NumericalError("fit: no start gives a finite misfit")
-        return *best, (reached, tried)
+        return best, (reached, tried)
 
     def _loose_table(self) -> tuple[Model, FitData]:
         """Peaks and distances, which only lead to where the samples decide."""
@@ -146,7 +147,7 @@ class SampleSearch:
         )
         return replace(self.model, rig=rig), data
 
-    def _follow(self, start: Settled | None) -> tuple[Model, FitData, Settled]:
+    def _follow(self, start: Settled | None) -> FitState:
         """Fit the samples, leaving out those beside the jumps of the model as it stands."""
         theta = self.box[0] if start is None else start.theta
         named = self.model.layout.value(theta).items()
@@ -170,7 +171,7 @@ class SampleSearch:
                 at = at if other is at else settle(model, data, other, trust=_TRUST)
             if _same(jumps, np.asarray(at.end.jumps)[: data.n]):
                 break
-        return model, data, at
+        return FitState(model, data, at)
 
     def _noise(self) -> list[Noise]:
         found = self.reduction.details[0]

@@ -25,17 +25,16 @@ _SURPRISING = 3.3
 """Standard deviations of chi-square beyond which a misfit is told (p < 5e-4)."""
 
 
-def result(
+def build_fit(
     setup: Setup,
     pushes: Pushes,
     reduction: Reduction | None,
-    model: Model,
-    data: FitData,
-    at: Settled,
+    state: FitState,
     reached: tuple[int, int],
     notes: Sequence[str],
 ) -> Fit:
     """The fit, with its error bars and notes."""
+    model, data, at = state.model, state.data, state.at
     n, layout, c = data.n, model.layout, at.components
     names, found = layout.names, layout.value(at.theta)
     spread = dict(zip(data.groups, c.spreads.tolist(), strict=True))
@@ -84,7 +83,7 @@ def result(
         notes=tuple(notes),
         skipped=pushes.skipped,
         setup=setup,
-        state=FitState(model, data, at),
+        state=state,
         pushes=pushes,
         push_names=() if reduction is None else tuple(r.name for r in reduction.recordings),
     )

@@ -14,7 +14,7 @@ import scipy
 from numpy.typing import NDArray
 
 from difffric.compute.xla_options import soon_compiled
-from difffric.estimation.coordinates import LINEAR
+from difffric.estimation.coordinates import to_coordinate
 from difffric.estimation.mixed_fit import (
     Model,
     Settled,
@@ -185,7 +185,7 @@ def _most_viscous(model: Model, data: FitData) -> float:
     fastest = float(np.max(np.asarray(data.pushes.velocity)))
     sliding = values["mu_s"] * values["mu_k_over_mu_s"] * values["mass_kg"] * GRAVITY
     most = max(_VISCOUS * sliding / fastest, 2 * values["k_v_N_s_per_m"])
-    return most / LINEAR["k_v_N_s_per_m"]
+    return float(to_coordinate("k_v_N_s_per_m", most))
 
 
 def other_branches(model: Model, data: FitData, at: Settled) -> list[NDArray]:

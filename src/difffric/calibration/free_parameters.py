@@ -1,0 +1,60 @@
+"""Which parameters a fit determines; which numbers the pushes say themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.errors import InputError
+from difffric.measurements.pushes import Pushes
+from difffric.rig import parameters
+from difffric.rig.setup import Setup
+
+USUAL_SCATTER = 0.03
+"""A scatter of mu_s from push to push that is taken where nobody says one: where its estimate
+starts, and what a design of pushes expects."""
+_OF_THE_CONTACT = ("k_N_per_m", "b_N_s_per_m")
+"""Parameters of which a free slide, made without a pusher, says nothing."""
+
+
+def has_gauge(pushes: Pushes) -> bool:
+    """Whether a gauge said mu_s of every push."""
+    return not np.isnan(pushes.mu_s_gauge).any()
+
+
+def choose_free(setup: Setup, pushes: Pushes, asked: Sequence[str] | None) -> tuple[str, ...]:
+    """The names of the parameters that a fit of these pushes determines.
+
+    These are the ones that were asked for. Where nothing was asked for they are `parameters.FREE`
+    and what the set-up's tables say is free, less mu_s where a gauge says it, and less what these
+    pushes cannot show.
+
+    Raises `InputError` where an empty list was asked for.
+    """
+    known = parameters.names(setup.rig)
+    if asked is not None:
+        chosen = tuple(dict.fromkeys(asked))
+        if not chosen:
+            raise InputError(f"free: expected some of {', '.join(known)}; got nothing")
+        return chosen
+    said = {name: extras.free for name, extras in setup.extras.items() if name in known}
+    names = [name for name in parameters.FREE if said.get(name) is not False and name in known]
+    names += [name for name, free in said.items() if free and name not in names]
+    if has_gauge(pushes):
+        names = [name for name in names if name != "mu_s"]
+    if pushes.free_slides:
+        names = [name for name in names if name not in _OF_THE_CONTACT]
+    return tuple(names)
+
+
+def given_values(pushes: Pushes, free: Sequence[str]) -> dict[str, NDArray]:
+    """What the pushes say of parameters, by name, (n,) each [SI]; NaN where a push does not.
+
+    A gauge's mu_s counts only where mu_s is not free.
+    """
+    given = {"mass_kg": pushes.mass}
+    if has_gauge(pushes) and "mu_s" not in free:
+        given["mu_s"] = pushes.mu_s_gauge
+    return given
