@@ -10,13 +10,16 @@ from numpy.typing import NDArray
 from difffric.errors import InputError
 from difffric.measurements.pushes import Pushes
 from difffric.rig import parameters
+from difffric.rig.catalogue import CONTACT
 from difffric.rig.setup import Setup
 
+_OF_THE_CONTACT = tuple(
+    name for name in parameters.OF_LAWS if parameters.PARAMETERS[name].component == CONTACT
+)
+"""Parameters of which a free slide, made without a pusher, says nothing."""
 USUAL_SCATTER = 0.03
 """A scatter of mu_s from push to push that is taken where nobody says one: where its estimate
 starts, and what a design of pushes expects."""
-_OF_THE_CONTACT = ("k_N_per_m", "b_N_s_per_m")
-"""Parameters of which a free slide, made without a pusher, says nothing."""
 
 
 def has_gauge(pushes: Pushes) -> bool:

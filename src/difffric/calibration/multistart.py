@@ -26,12 +26,11 @@ from difffric.estimation.mixed_fit import (
 )
 from difffric.estimation.stacked_data import TABLE, FitData
 from difffric.progress import Tell
+from difffric.rig import parameters
 
 Ends = list[tuple[float, Settled, int]]
 """Different ends of a search, the best first: chi-square, point, how many starts lead there."""
 
-FACTORS = {"k_N_per_m": 3.0, "b_N_s_per_m": 3.0, "mu_s": 2.0}
-"""How far off a rough guess may be: a fit starts there too."""
 REFINED = 3
 """How many different ends of the first search are followed to the end."""
 ALIKE = 1e-2
@@ -58,7 +57,10 @@ def make_starts(layout: Layout, several: bool = True) -> list[NDArray]:
     if not several:
         return [own]
     axes = []
-    for name, factor in FACTORS.items():
+    for name in parameters.FREE:
+        factor = parameters.PARAMETERS[name].roughness
+        if factor is None:
+            continue
         shift = np.array([x == name for x in layout.names], float) * np.log(factor)
         if shift.any():
             axes.append([s * shift for s in (-1, 0, 1)])

@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 
 from difffric.calibration.result import LEVELS, Fit
 from difffric.errors import InputError, NumericalError
-from difffric.estimation.coordinates import linear_step, to_value
+from difffric.estimation.coordinates import NOTHING, has_vanished, linear_step, to_value
 from difffric.estimation.mixed_fit import (
     ARRIVED,
-    NOTHING,
     Settled,
     descend,
     linear_at,
@@ -189,7 +188,7 @@ class _Path:
         return self.found[x][0] - self.found[self.here][0]
 
     def _value(self, x: float) -> float:
-        if x <= NOTHING and self.label == "b_N_s_per_m":
+        if has_vanished(self.label, x):
             return 0.0
         return float(to_value(self.fit.names[self.j], x))
 

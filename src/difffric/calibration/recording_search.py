@@ -9,7 +9,7 @@ from threading import Thread
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.calibration.multistart import ALIKE, FACTORS, REFINED, descents, first_search
+from difffric.calibration.multistart import ALIKE, REFINED, descents, first_search
 from difffric.calibration.result import FitState
 from difffric.calibration.table_starts import fit_of_forces, other_branches
 from difffric.errors import InputError, NumericalError
@@ -135,12 +135,13 @@ class RecordingSearch:
         three times as stiff as the set-up says."""
         rig, pushes = self.model.rig, self.reduction.pushes
         known = float(parameters.values(rig)["k_N_per_m"])
+        rough = parameters.PARAMETERS["k_N_per_m"].roughness or 1.0
         lightest = np.nanmin([float(rig.mass), *pushes.mass])
         rig, data = traces_data(
             rig,
             self.reduction.recordings,
             self.reduction.details,
-            float(np.sqrt(2 * max(stiffest, FACTORS["k_N_per_m"] * known) / lightest)),
+            float(np.sqrt(2 * max(stiffest, rough * known) / lightest)),
             len(coordinates.names(rig)),
             jumps,
             _GUARD if self.model.free_start else 0.0,

@@ -8,12 +8,14 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from difffric.estimation.coordinates import slope, to_value
+from difffric.calibration.report_text import format_fit
+from difffric.estimation.coordinates import has_vanished, slope, to_value
 from difffric.estimation.mixed_fit import Model, Settled
 from difffric.estimation.open_parameters import undetermined, units
 from difffric.estimation.stacked_data import RECORDINGS, SLIDES, FitData
 from difffric.measurements.pushes import Pushes
 from difffric.rig import parameters
+from difffric.rig.parameters import PARAMETERS, Parameter
 from difffric.rig.rig import Rig
 from difffric.rig.setup import Extras, Setup
 
@@ -102,8 +104,11 @@ class Fit:
     @property
     def vanished(self) -> tuple[str, ...]:
         """Free parameters that went to zero."""
-        gone = [self.value(x) <= 1e-2 * (x[:2] != "mu") for x in self.held]
-        return tuple(x for x, zero in zip(self.held, gone, strict=True) if zero)
+        return tuple(x for x in self.held if self.value(x) <= self._parameter(x).zero)
+
+    def _parameter(self, label: str) -> Parameter:
+        """What is known of the parameter behind a label."""
+        return PARAMETERS[self.names[self.index(label)]]
 
     @property
     def reduced_chi2(self) -> float:
@@ -118,7 +123,7 @@ class Fit:
         """A parameter's value [SI], by its label, or by the name of one that is not free."""
         if label in self.free:
             i = self.index(label)
-            if label in self.held and self.theta[i] <= -7.0 and label == "b_N_s_per_m":
+            if label in self.held and has_vanished(label, self.theta[i]):
                 return 0.0
             return float(to_value(self.names[i], self.theta[i]))
         return float(parameters.values(self.rig)[label])
@@ -196,7 +201,7 @@ class Fit:
         return (r**2).sum(axis=1) / data.samples_of
 
     def _at_lower(self, label: str) -> bool:
-        return label in self.vanished or self.names[self.index(label)] != "mu_k_over_mu_s"
+        return label in self.vanished or self.value(label) < self._parameter(label).upper
 
     def for_condition(self, condition: str) -> tuple[Rig, dict[str, int]]:
         """The rig of one condition, and its free parameters (but mu_s) with their columns."""
@@ -277,47 +282,4 @@ class Fit:
         }  # fmt: skip
 
     def __str__(self) -> str:
-        """The fit report, in the form that lmfit made familiar."""
-        reached, of = self.starts_at_optimum
-        lines = [
-            f"[[Fit]] {len(self.mu_s)} pushes ({self.kind}), {self.samples} measured numbers",
-            f"    chi-square         = {self.chi2:.6g}",
-            f"    reduced chi-square = {self.reduced_chi2:.6g}"
-            f"  ({self.degrees_of_freedom} degrees of freedom)",
-            f"    converged          = {'yes' if self.converged else 'no'}"
-            f"  ({reached} of {of} starts reach this optimum)",
-            "[[Parameters]] standard errors from the noise, not scaled by chi-square",
-        ]
-        width = max(len(x) for x in (*self.free, "mu_s_scatter"))
-        for label in self.free:
-            value, error = self.value(label), self.standard_error(label)
-            said = (
-                f"+/- {error:.3g} ({100 * error / abs(value):.2f} %)"
-                if error is not None and value
-                else "(at its bound)"
-                if error is None
-                else f"+/- {error:.3g}"
-            )
-            lines.append(f"    {label:<{width}} = {value:.7g} {said}")
-        error = f"+/- {self.scatter_se:.2g}" if np.isfinite(self.scatter_se) else "(fixed)"
-        lines.append(f"    {'mu_s_scatter':<{width}} = {self.scatter:.4g} {error}")
-        correlation = self.correlation
-        pairs = sorted(
-            (
-                (abs(correlation[i, j]), correlation[i, j], a, self.free[j])
-                for i, a in enumerate(self.free)
-                for j in range(i + 1, len(self.free))
-                if abs(correlation[i, j]) > 0.1
-            ),
-            reverse=True,
-        )
-        if pairs:
-            lines.append("[[Correlations]] above 0.1")
-            lines += [f"    C({a}, {b}) = {c:+.3f}" for _, c, a, b in pairs]
-        if self.not_identifiable:
-            lines.append("[[Not determined by these data]]")
-            lines += [
-                f"    {', '.join(x['parameters'])}: {x['reason']}" for x in self.not_identifiable
-            ]
-        lines += [f"    note: {note}" for note in self.notes]
-        return "\n".join(lines)
+        return format_fit(self.as_dict())

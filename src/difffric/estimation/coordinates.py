@@ -1,38 +1,37 @@
-"""The coordinates of a fit: which numbers are free, for which pushes, and on what scale.
+"""The coordinates of a calibration: which numbers are free, for which pushes, and on what scale.
 
-Positive parameters move as logarithms, k_v, which may be zero, as it is. A model's coordinates
-are all its parameters and the start offset of the push; a fit moves those that are free,
-through a selection matrix, so that what is free is a run-time choice.
+A positive parameter moves as its logarithm, one that may be zero on a linear scale; the table of
+`rig.parameters` says which. A model's coordinates are all its parameters and the start offset of
+the push. A fit moves those that are free, through a selection matrix, so that the choice of what
+is free needs no new compilation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from difffric.errors import InputError
-from difffric.rig import catalogue, parameters
+from difffric.rig import parameters
+from difffric.rig.parameters import PARAMETERS
 from difffric.rig.rig import Rig
 
 START = "start_s"
 """The start offset of a push [s]: how late the pusher starts after the trigger."""
 
-LINEAR = {"k_v_N_s_per_m": 10.0, START: 1e-5} | {
-    name: key.typical or 1.0 for name, (_, key) in catalogue.KEYS.items() if not key.inverse
-}
-"""What moves on a linear scale, with its unit step."""
+_START_STEP = 1e-5
+"""The unit step of a start offset [s], which moves on a linear scale."""
 
-_LIMITS = {"mu_k_over_mu_s": (0.0, 1.0), "k_v_N_s_per_m": (0.0, np.inf)} | {
-    name: (key.lower, key.upper) for name, (_, key) in catalogue.KEYS.items()
-}
-"""The values [SI] between which a parameter makes sense, where that is not all positive ones."""
+NOTHING = -7.0
+"""The logarithm at which a parameter that runs towards zero is held."""
 
 _LEAST = 1e-12
-"""Where a logarithm starts that is asked for zero."""
+"""The value [SI] at which a logarithm starts that is asked for zero."""
 
 
 def names(rig: Rig) -> tuple[str, ...]:
@@ -40,25 +39,69 @@ def names(rig: Rig) -> tuple[str, ...]:
     return (*parameters.names(rig), START)
 
 
-def to_coordinate(name: str, value):
-    """The coordinate of a value [SI]."""
-    if name in LINEAR:
-        return np.asarray(value, float) / LINEAR[name]
+def linear_step(name: str) -> float | None:
+    """The unit step [SI] of a coordinate on a linear scale; None: it is a logarithm."""
+    return _START_STEP if name == START else PARAMETERS[name].step
+
+
+def to_coordinate(name: str, value: ArrayLike) -> NDArray:
+    """The coordinate of a value [SI]; NumPy's, for numbers outside a compiled program."""
+    step = linear_step(name)
+    if step is not None:
+        return np.asarray(value, float) / step
     return np.log(np.clip(value, _LEAST, 1 / _LEAST))
 
 
-def to_value(name: str, coordinate):
+def to_value(name: str, coordinate: Any) -> Any:
     """The value [SI] of a coordinate; traceable."""
-    return LINEAR[name] * coordinate if name in LINEAR else jnp.exp(coordinate)
+    step = linear_step(name)
+    return jnp.exp(coordinate) if step is None else step * coordinate
+
+
+def shift_value(name: str, value: Any, shift: Any) -> Any:
+    """The value [SI] that lies `shift` coordinates beyond a value [SI]; traceable."""
+    step = linear_step(name)
+    return value * jnp.exp(shift) if step is None else value + step * shift
+
+
+def has_vanished(label: str, coordinate: float) -> bool:
+    """Whether a free parameter, by its label, ran towards zero until it was held. One that is
+    split by condition (`b_N_s_per_m[DRY]`) does not count: its value says how small it is."""
+    return label in PARAMETERS and PARAMETERS[label].may_vanish and coordinate <= NOTHING
 
 
 def slope(name: str, value: float) -> float:
-    """d value / d coordinate."""
-    return LINEAR.get(name, value)
+    """d value / d coordinate at a value [SI]."""
+    step = linear_step(name)
+    return value if step is None else step
 
 
-def rig_at(rig: Rig, coordinates) -> Rig:
-    """The rig with all its parameters at these coordinates (in the order of `names`)."""
+def limits(
+    name: str, lower: float | None = None, upper: float | None = None
+) -> tuple[float, float]:
+    """The coordinates between which a fit keeps a parameter: its own limits, and bounds [SI]
+    where a set-up gives them."""
+    row = PARAMETERS[name]
+    linear = row.step is not None
+
+    def limit(value: float | None, default: float) -> float:
+        if value is None or (value <= 0 and not linear):
+            return default
+        return float(to_coordinate(name, value))
+
+    def own_limit(value: float) -> float:
+        if value <= 0 and not linear:
+            return -np.inf
+        return float(to_coordinate(name, value)) if np.isfinite(value) else value
+
+    return (
+        max(limit(lower, -np.inf), own_limit(row.lower)),
+        min(limit(upper, np.inf), own_limit(row.upper)),
+    )
+
+
+def rig_at(rig: Rig, coordinates: Any) -> Rig:
+    """The rig with all its parameters at these coordinates, in the order of `names`; traceable."""
     known = parameters.names(rig)
     new = {name: to_value(name, coordinates[j]) for j, name in enumerate(known)}
     return parameters.with_values(rig, new)
@@ -89,15 +132,17 @@ class Layout:
 
     @property
     def n_free(self) -> int:
+        """The number of free parameters."""
         return len(self.labels)
 
     def value(self, theta: NDArray) -> dict[str, float]:
-        """Label -> value [SI]."""
+        """Label -> value [SI] at the free coordinates `theta` (free,)."""
         pairs = zip(self.labels, self.names, theta, strict=True)
         return {label: float(to_value(name, x)) for label, name, x in pairs}
 
     def without(self, gone: NDArray, theta: NDArray) -> Layout:
-        """The same, with some free parameters held at `theta`: their columns are empty."""
+        """The layout with the free parameters `gone` (free,) held at `theta`: their columns of the
+        selection are empty."""
         held = np.where(gone, theta, 0.0)
         return replace(
             self,
@@ -115,7 +160,7 @@ def layout(
     bounds: Mapping[str, tuple[float | None, float | None]],
     priors: Mapping[str, float],
 ) -> Layout:
-    """Arrange the free parameters `free` of n pushes.
+    """Arrange the free parameters of n pushes as columns of numbers.
 
     `conditions` has an entry a push; `given` holds values [SI] that the pushes' records say,
     NaN where they do not (mass, mu_s of the gauge); `bounds` and `priors` (standard errors) are
@@ -147,30 +192,15 @@ def layout(
             column[member, every.index(name)] = 1.0
             columns.append(column)
         fixed[:, every.index(name)] = 0.0
-    start = np.array([to_coordinate(name, values[name]) for name in behind])
-
-    def limit(name, side, default):
-        value = bounds.get(name, (None, None))[side]
-        if value is None or (value <= 0 and name not in LINEAR):
-            return default
-        return float(to_coordinate(name, value))
-
-    def sense(name, side):
-        value = _LIMITS.get(name, (0.0, np.inf))[side]
-        if name not in LINEAR and value <= 0:
-            return -np.inf
-        return float(to_coordinate(name, value)) if np.isfinite(value) else value
-
-    floor = [sense(name, 0) for name in behind]
-    ceiling = [sense(name, 1) for name in behind]
+    within = [limits(name, *bounds.get(name, (None, None))) for name in behind]
     return Layout(
         labels=tuple(labels),
         names=tuple(behind),
         selection=np.stack(columns, axis=2) if columns else np.zeros((n, len(every), 0)),
         fixed=fixed,
-        start=start,
-        lower=np.array([max(limit(x, 0, -np.inf), f) for x, f in zip(behind, floor, strict=True)]),
-        upper=np.array([min(limit(x, 1, np.inf), c) for x, c in zip(behind, ceiling, strict=True)]),
+        start=np.array([to_coordinate(name, values[name]) for name in behind]),
+        lower=np.array([lower for lower, _ in within]),
+        upper=np.array([upper for _, upper in within]),
         prior_sd=np.array(
             [priors[x] / abs(slope(x, values[x])) if x in priors else np.inf for x in behind]
         ),

@@ -10,13 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from difffric.estimation.coordinates import limits, to_coordinate, to_value
 from difffric.rig import catalogue, free_form, parameters
 from difffric.rig.catalogue import CATALOGUE, KEYS
+from difffric.rig.parameters import OF_LAWS, PARAMETERS
 from difffric.rig.rig import Rig
 
-PLAIN = ("mu_s", "mu_k_over_mu_s", "k_v_N_s_per_m", "k_N_per_m", "b_N_s_per_m")
-"""Coordinates of the plain model: logarithms, and k_v in units of `K_V`."""
-K_V = 10.0
+PLAIN = OF_LAWS
+"""The plain model's parameters. Their coordinates are a calibration's: logarithms, and k_v on a
+linear scale."""
 WAVES = {
     f"{e.id}.amplitude": f"{e.id}.phase_rad" for e in CATALOGUE.values() if "phase_rad" in e.nulls()
 }
@@ -49,7 +51,7 @@ class Coordinates:
         return cls(
             (*PLAIN, *extra),
             (0.0,) * len(PLAIN) + tuple(null.values()),
-            (1.0, 1.0, K_V, 1.0, 1.0, *size.values()),
+            (*(PARAMETERS[n].step or 1.0 for n in PLAIN), *size.values()),
         )
 
     def index(self, name: str) -> int:
@@ -66,10 +68,8 @@ class Coordinates:
         out = {}
         for name, value in values.items():
             i = self.index(name)
-            if name == "k_v_N_s_per_m":
-                out[name] = value / K_V
-            elif name in PLAIN:
-                out[name] = float(np.log(max(value, 1e-12)))
+            if name in PLAIN:
+                out[name] = float(to_coordinate(name, value))
             else:
                 number = _finite(KEYS[name][1].to_law(value))
                 out[name] = float((number - self.null[i]) / self.unit[i])
@@ -100,8 +100,8 @@ class Coordinates:
         for row, name in enumerate(names):
             i = self.index(name)
             number = self.null[i] + self.unit[i] * c[i]
-            if name == "k_v_N_s_per_m":
-                value[row], slope[row, i] = K_V * c[i], K_V
+            if name in PLAIN and PARAMETERS[name].step is not None:
+                value[row], slope[row, i] = self.unit[i] * c[i], self.unit[i]
             elif name in PLAIN:
                 value[row] = slope[row, i] = np.exp(c[i])
             elif name in WAVES or name in phases:
@@ -123,12 +123,10 @@ class Coordinates:
 
     def bounds(self, name: str) -> tuple[float, float]:
         """Between which coordinates a number makes sense."""
-        if name == "k_v_N_s_per_m":
-            return 0.0, np.inf
-        if name == "mu_k_over_mu_s":
-            return -np.inf, 0.0
-        if name in PLAIN or name in FORMED:
+        if name in FORMED:
             return -np.inf, np.inf
+        if name in PLAIN:
+            return limits(name)
         name = next((a for a, phase in WAVES.items() if phase == name), name)
         key = KEYS[name][1]
         if key.inverse:
@@ -137,29 +135,28 @@ class Coordinates:
         ends = [(x - self.null[i]) / self.unit[i] for x in (key.lower, key.upper)]
         return min(ends), max(ends)
 
-    def rig(self, rig: Rig, c) -> Rig:
-        """The rig at coordinates c; traceable."""
+    def rig(self, rig: Rig, c: Any, given: Mapping[str, Any], stroke: Any) -> Rig:
+        """The rig of one push at coordinates c (coordinates,), with what the push's record says:
+        numbers by name, and the pusher's stroke [m]; traceable."""
+        at = parameters.with_push(rig, {**self._law_numbers(c), **given}, stroke)
+        known = len(self.names) - len(FORMED)
+        if self.names[known:] != FORMED:
+            return at
+        rows = c[known:].reshape(len(free_form.FORMS), free_form.SPLINES)
+        return free_form.with_coefficients(at, dict(zip(free_form.FORMS, rows, strict=True)))
+
+    def _law_numbers(self, c: Any) -> dict[str, Any]:
+        """The laws' own numbers at coordinates c, by parameter name."""
         numbers: dict[str, Any] = {}
-        known = [name for name in self.names if name in PLAIN or name in KEYS]
-        for i, name in enumerate(known):
-            if name == "k_v_N_s_per_m":
-                numbers[name] = K_V * c[i]
-            elif name in PLAIN:
-                numbers[name] = jnp.exp(c[i])
-            else:
+        for i, name in enumerate(self.names):
+            if name in PLAIN:
+                numbers[name] = to_value(name, c[i])
+            elif name in KEYS:
                 numbers[name] = self.null[i] + self.unit[i] * c[i]
         for amplitude, phase in WAVES.items():
             if amplitude in numbers:
-                numbers |= dict(
-                    zip((amplitude, phase), _polar(numbers[amplitude], numbers[phase]), strict=True)
-                )
-        at = parameters.with_values(rig, {n: numbers[n] for n in PLAIN})
-        at = catalogue.with_numbers(at, {n: numbers[n] for n in known[len(PLAIN) :]})
-        if len(known) == len(self.names):
-            return at
-        shape = len(free_form.FORMS), free_form.SPLINES
-        rows = c[len(known) :].reshape(shape)
-        return free_form.with_coefficients(at, dict(zip(free_form.FORMS, rows, strict=True)))
+                numbers[amplitude], numbers[phase] = _polar(numbers[amplitude], numbers[phase])
+        return numbers
 
     def without(self, effect: str) -> Coordinates:
         """Without those of an effect's numbers."""

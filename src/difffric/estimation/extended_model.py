@@ -25,7 +25,7 @@ from difffric.compute import pytrees
 from difffric.compute.xla_options import soon_compiled
 from difffric.estimation.blocks import Blocks
 from difffric.estimation.effect_coordinates import Coordinates
-from difffric.rig import catalogue, parameters
+from difffric.rig import catalogue
 from difffric.rig.rig import Rig
 from difffric.simulation.observables import marched, observe
 from difffric.simulation.stepping.integrator import RungeKutta

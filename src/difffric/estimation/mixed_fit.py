@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from difffric.compute import pytrees
 from difffric.errors import NumericalError
-from difffric.estimation.coordinates import START, Layout, to_value
+from difffric.estimation.coordinates import NOTHING, START, Layout, to_value
 from difffric.estimation.mixed_model import (
     MAX_STEPS,
     PADDING,
@@ -42,8 +42,6 @@ OTHERWISE = (-3.0, -1.5, -0.7, 0.7, 1.5, 3.0)
 """Where else each push's own mu_s is looked for, in units of the scatter."""
 _TRIAL = 15
 """Steps in which one mu_s is as good as found."""
-NOTHING = -7.0
-"""The logarithm at which a damping that runs towards zero is held."""
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.estimation.coordinates import LINEAR
+from difffric.estimation.coordinates import to_coordinate
 from difffric.rig import parameters
+from difffric.rig.parameters import PARAMETERS
 from difffric.rig.rig import Rig
 
 SHARE = 0.25
@@ -23,7 +24,7 @@ UNSEEN = 1e4
 _PART = 0.05
 """What moves by less than this many units, for one of the first, is left out of the words."""
 
-K_V = "k_v_N_s_per_m"
+_K_V = "k_v_N_s_per_m"
 
 
 def units(rig: Rig, names: Sequence[str], fastest: float) -> NDArray:
@@ -34,10 +35,11 @@ def units(rig: Rig, names: Sequence[str], fastest: float) -> NDArray:
     """
     out = np.ones(len(names))
     known = {name: float(value) for name, value in parameters.values(rig).items()}
-    if K_V in names and {"mu_s", "mu_k_over_mu_s"} <= set(known) and fastest > 0:
+    if _K_V in names and {"mu_s", "mu_k_over_mu_s"} <= set(known) and fastest > 0:
         friction = known["mu_s"] * known["mu_k_over_mu_s"] * float(rig.F_N)
-        friction += known[K_V] * fastest
-        out[[name == K_V for name in names]] = SHARE * friction / fastest / LINEAR[K_V]
+        friction += known[_K_V] * fastest
+        open_from = float(to_coordinate(_K_V, SHARE * friction / fastest))
+        out[[name == _K_V for name in names]] = open_from
     return out
 
 
@@ -121,8 +123,9 @@ def _flat(name: str, own: float, unit: float) -> str:
     if own >= UNSEEN:
         return "flat: the data do not depend on it"
     said = "one standard error, with all others known, is"
-    if name in LINEAR:
-        return f"flat: {said} {own * unit * LINEAR[name]:.3g} N s/m"
+    row = PARAMETERS[name]
+    if row.step is not None:
+        return f"flat: {said} {own * unit * row.step:.3g} {row.unit}".rstrip()
     return f"flat: {said} a factor of {np.exp(min(own * unit, 50.0)):.3g}"
 
 
@@ -131,15 +134,16 @@ def _traded(first: int, moves: dict[int, float], labels, names, scale) -> str:
     steps = {j: w * scale[j] / scale[first] for j, w in moves.items()}
     shown = [j for j in steps if j != first and abs(moves[j]) > _PART]
     shown.sort(key=lambda j: -abs(moves[j]))
-    base = 1.0 / LINEAR[names[first]] if names[first] in LINEAR else 0.01
+    own = PARAMETERS[names[first]].step
+    base = 0.01 if own is None else 1.0 / own
 
-    def step(j, x):
+    def step(j: int, x: float) -> str:
         size = abs(x) * base
         how = "up" if x > 0 else "down"
-        amount = (
-            f"{size * LINEAR[names[j]]:.2g} N s/m" if names[j] in LINEAR else f"{100 * size:.2g} %"
-        )
-        return f"{labels[j]} {how} {amount}"
+        row = PARAMETERS[names[j]]
+        if row.step is None:
+            return f"{labels[j]} {how} {100 * size:.2g} %"
+        return f"{labels[j]} {how} {size * row.step:.2g} {row.unit}".rstrip()
 
     if not shown:
         return f"these data hardly see {step(first, 1.0)}"
