@@ -287,12 +287,6 @@ def parameter_names(rig: Rig) -> tuple[str, ...]:
     return tuple(name for name, (effect, _) in KEYS.items() if _found(rig, effect) is not None)
 
 
-def parameter(rig: Rig, name: str) -> Any:
-    """One of them [SI]."""
-    effect, key = KEYS[name]
-    return key.to_law(getattr(_found(rig, effect), key.field))
-
-
 def where(name: str):
     """(rig -> the law's number behind a name, how the law has a value)."""
     if name in GIVEN:

@@ -5,8 +5,9 @@ Each parameter of equations (1) and (2), and each number of an effect (`id.key`)
 and how a calibration moves it. To add a parameter of a new law, add a line to `_OF_LAWS`; those of
 an effect come from its line in the catalogue.
 
-A rig's numbers are read once and put back once: `unpack` gives the values and the function that
-puts others in their place, `with_values` puts some in, `setter` does so again and again.
+A rig's numbers are best read once and put back once: `unpack` gives the values and the function
+that puts others in their place; `with_values` puts some in, `override` those that were given,
+`with_push` all that a push's record says, `setter` the same names again and again.
 """
 
 from __future__ import annotations
@@ -231,6 +232,18 @@ def with_values(rig: Rig, new: Mapping[str, Any]) -> Rig:
     """
     _check(rig, new)
     return _put(rig, new)
+
+
+def override(rig: Rig, given: Mapping[str, Any], stroke: Any = None) -> Rig:
+    """The rig with the values [SI] that are given in place of its own, and the pusher's stroke
+    [m]; what is None stays as it is.
+
+    Raises `InputError` for a name that the rig does not have.
+    """
+    new = {name: value for name, value in given.items() if value is not None}
+    if new:
+        rig = with_values(rig, new)
+    return rig if stroke is None else with_stroke(rig, stroke)
 
 
 def with_push(rig: Rig, numbers: Mapping[str, Any], stroke: Any) -> Rig:

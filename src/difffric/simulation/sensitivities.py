@@ -92,15 +92,15 @@ def regime_margin(rig: Rig, velocity, integrator=None) -> Margin:
     another regime narrower than the scan's step (a factor 1.4 of the distance) is missed.
     Infinite where the scan finds no change.
     """
-    mu_s = float(parameters.values(rig)["mu_s"])
-    rig, velocity = pytrees.as_arrays(rig), jnp.asarray(velocity, float)
-    here = int(_kinds(rig, velocity, integrator, np.array([mu_s]))[0])
+    rig, point = pytrees.as_arrays(rig), _point(rig, velocity)
+    mu_s = float(point["mu_s"])
+    here = int(_kinds(rig, point, integrator, np.array([mu_s]))[0])
     steps = [np.geomspace(1e-8, top, 48) for top in (0.999, 9.0)]
     found = [np.inf, np.inf]
     inside = [0.0, 0.0]
     for _ in range(5):
         deltas = np.concatenate([-steps[0], steps[1]])
-        differ = np.split(_kinds(rig, velocity, integrator, mu_s * (1 + deltas)) != here, 2)
+        differ = np.split(_kinds(rig, point, integrator, mu_s * (1 + deltas)) != here, 2)
         for side in (0, 1):
             if not differ[side].any():
                 continue
@@ -113,9 +113,8 @@ def regime_margin(rig: Rig, velocity, integrator=None) -> Margin:
     return Margin(margin, side)
 
 
-def _kinds(rig, velocity, integrator, mu_s):
+def _kinds(rig, point, integrator, mu_s):
     """The kind of push at each mu_s, by the program that gives the derivatives."""
-    point = _point(rig, velocity)
     nowhere = {name: jnp.zeros_like(x) for name, x in point.items()}
     at = [jnp.asarray(value) for value in mu_s]
     kinds = [

@@ -175,10 +175,7 @@ def simulate(
 
     Raises `InputError` for a value outside its range and in 32-bit mode.
     """
-    given = {"mass_kg": mass, "mu_s": mu_s}
-    rig = parameters.with_values(rig, {k: v for k, v in given.items() if v is not None})
-    if stroke is not None:
-        rig = parameters.with_stroke(rig, stroke)
+    rig = parameters.override(rig, {"mass_kg": mass, "mu_s": mu_s}, stroke)
     check_rig(rig)
     if not isinstance(velocity, Tracer):
         if isinstance(velocity, str) or np.ndim(velocity) != 0:
