@@ -138,13 +138,13 @@ def true_model(found, case: cases.Case) -> dict | None:
     """The error on held-out pushes of the model that made the data, fitted from the truth, and by
     how much it beats the diagnosis's own in -2 log likelihood. None: not one of the catalogue's,
     or not to be followed."""
-    from difffric.diagnosis.start import folds_of
+    from difffric.diagnosis.cross_validation import assign_folds
     from difffric.estimation import ensemble as en
     from difffric.estimation import ensemble_refits
     from difffric.rig.catalogue import numbers_of
 
-    data, plain, base, *_ = found.work
-    task = data.task
+    state = found.state
+    plain, base, task = state.plain, state.extended, state.data.task
     coordinates = task.model.coordinates
     names = [name for effect in case.effects for name in numbers_of(effect)]
     if case.outsider or not names or not set(names) <= set(coordinates.names):
@@ -169,7 +169,7 @@ def true_model(found, case: cases.Case) -> dict | None:
     if (en.penalised(task, at) >= en.REJECTED).any():  # bristles too stiff to be followed
         return None
     at = ensemble_refits.refitted(task, at, 30)
-    folds = folds_of(np.asarray(task.model.pushes.velocity), False)
+    folds = assign_folds(np.asarray(task.model.pushes.velocity), False)
     squares = ensemble_refits.held_out(task, replace(at, spread=base.spread), folds).squares
     return {
         "heldout_nrmse": float(np.sqrt(squares.sum() / task.counts.sum())),

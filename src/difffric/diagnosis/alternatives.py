@@ -1,5 +1,8 @@
-"""What else would explain the same: effects whose derivatives, all else projected out, are parallel
-to those of a cause, put in its place in the final model."""
+"""What else would explain the same as a cause.
+
+An effect may stand in a cause's place where the derivatives of the answers by the two, all else
+projected out, are parallel. It is then put there in the final model, which is refitted.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.diagnosis.exploration import Candidate, beside_null
+from difffric.diagnosis.exploration import CandidateCause
+from difffric.diagnosis.score_test import step_off_null
 from difffric.estimation import ensemble as en
 from difffric.estimation import ensemble_refits
 from difffric.estimation.ensemble import Fits, Task
@@ -18,13 +22,18 @@ from difffric.rig.catalogue import numbers_of
 _PARALLEL = 0.8
 """Share of an effect's information that a cause takes, from which it is tried in its place."""
 _ROUNDS = 15
+"""Steps at most of the refit with an effect in the place of the cause."""
 
 
-def alternatives(
-    task: Task, plain: Fits, base: Fits, cause: Candidate, others: Sequence[str]
-) -> list[Candidate]:
-    """The `others` of one number in the place of a cause of `base` (an ensemble of one, as the
-    plain fit is), where their derivatives are parallel to the cause's."""
+def find_alternatives(
+    task: Task, plain: Fits, base: Fits, cause: CandidateCause, others: Sequence[str]
+) -> list[CandidateCause]:
+    """Put each of the effects `others` in the place of a cause, where their derivatives are
+    parallel, and return the refitted models.
+
+    `base` is the model with the cause, `plain` the one without any (both ensembles of one).
+    Effects of more than one number are left out.
+    """
     mine = task.model.coordinates.indices(numbers_of(cause.effect))
     if not set(mine) <= set(base.extra[0]):  # a ratio, free in the plain model too
         return []
@@ -33,7 +42,7 @@ def alternatives(
         index = task.model.coordinates.indices(numbers_of(effect))
         if len(index) > 1 or set(index) <= set(base.extra[0]):
             continue
-        share, step = _overlap(task, plain, base, mine, index)
+        share, step = _measure_overlap(task, plain, base, mine, index)
         if share < _PARALLEL:
             continue
         c = base.c.copy()
@@ -44,15 +53,22 @@ def alternatives(
         at = replace(base, extra=(extra,), c=c, gram=None, residual=None, damping=None)
         at = ensemble_refits.refitted(task, at, _ROUNDS)
         drop = cause.drop + before - float(en.criterion(task, at)[0])
-        out.append(replace(cause, effect=effect, fits=at, drop=drop, predicted=0.0,
-                           penalised_drop=drop - len(index) * task.price))  # fmt: skip
+        penalised = drop - len(index) * task.price
+        out.append(
+            replace(
+                cause, effect=effect, fits=at, drop=drop, predicted=0.0, penalised_drop=penalised
+            )
+        )
     return out
 
 
-def _overlap(task: Task, plain: Fits, base: Fits, mine, index) -> tuple[float, NDArray]:
-    """The share of an effect's information that the cause's numbers take, all else projected out;
-    and the effect's size that does what the cause does."""
-    at = beside_null(task, replace(base, extra=((*base.extra[0], *index),)))
+def _measure_overlap(
+    task: Task, plain: Fits, base: Fits, mine: list[int], index: list[int]
+) -> tuple[float, NDArray]:
+    """Return the share of the information on the coordinates `index` of an effect that the cause's
+    coordinates `mine` take, all else projected out; and the effect's size that does what the cause
+    does."""
+    at = step_off_null(task, replace(base, extra=((*base.extra[0], *index),)))
     H = en.normal(task, en.evaluated(task, at)).H[0]
     known = task.conditions + len(task.shared)
     a = known + np.array([base.extra[0].index(i) for i in mine])

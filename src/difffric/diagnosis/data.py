@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from difffric.calibration.result import Fit
 from difffric.estimation.blocks import stacked_blocks
@@ -47,11 +48,14 @@ class DiagnosisData:
     """of recordings"""
 
 
-def diagnosis_data(
-    rig: Rig, measured: Measured, reduction: Reduction | None, noise
+def prepare_data(
+    rig: Rig, measured: Measured, reduction: Reduction | None, noise: NDArray | None = None
 ) -> DiagnosisData:
-    """The data of a table or of free slides (`noise`: standard errors of F_p and d, (n, 2), NaN:
-    not known) or of recordings, against a plain rig. No parameter is free yet but mu_s."""
+    """Set the data of a table, of free slides or of recordings against a plain rig.
+
+    `noise` (n, 2) are the standard errors of F_p [N] and d [m] of a table, NaN where they are not
+    known; recordings have a `reduction` instead. No parameter is free yet but mu_s.
+    """
     slides = measured.free_slides
     if slides:
         measured = replace(measured, velocity=measured.release_velocity)
@@ -61,9 +65,10 @@ def diagnosis_data(
     span = np.ptp(order)
     mass = np.where(np.isnan(measured.mass), float(rig.mass), measured.mass)
     rest = measured.rest_before
-    impossible = _impossible(measured, reduction, mass, span, slides)
+    impossible = _list_impossible(measured, reduction, mass, span, slides)
     if reduction is None:
-        data, counts, open_ = _table(measured, noise)
+        noise = np.full((n, 2), np.nan) if noise is None else noise
+        data, counts, open_ = _stack_table(measured, noise)
         left_out, kind = (PRESLIDING,), SLIDES if slides else TABLE
     else:
         values = parameters.values(rig)
@@ -89,14 +94,18 @@ def diagnosis_data(
         counts=counts,
     )
     looked_for = tuple(e for e in (*CATALOGUE, RATIO) if e not in left_out and e not in impossible)
-    return DiagnosisData(task, _scales(rig, measured, strokes, mass), measured, looked_for,
-                         impossible, reduction)  # fmt: skip
+    scales = _estimate_scales(rig, measured, strokes, mass)
+    return DiagnosisData(task, scales, measured, looked_for, impossible, reduction)
 
 
-def _table(measured: Measured, noise):
+def _stack_table(
+    measured: Measured, noise: NDArray
+) -> tuple[tuple[NDArray, NDArray], NDArray, tuple[bool, bool]]:
+    """Return the numbers of a table and their weights (n, 2), how many numbers there are (n, 2),
+    and whether the noise of F_p and of d is to be estimated."""
     both = np.stack([measured.peak_force, measured.sliding_distance], axis=1)
     there = np.isfinite(both)
-    unknown = (there & np.isnan(noise)).any(axis=0)
+    unknown = np.any(there & np.isnan(noise), axis=0)
     open_ = bool(unknown[0]), bool(unknown[1])
     size = [np.abs(both[there[:, k], k]).max(initial=1e-9) for k in (0, 1)]
     sd = np.where(np.isnan(noise), 0.02 * np.array(size), noise)
@@ -104,8 +113,13 @@ def _table(measured: Measured, noise):
     return (np.where(there, both, 0.0), weight), there.astype(float), open_
 
 
-def _impossible(measured: Measured, reduction, mass, span, slides) -> dict[str, str]:
-    """Effects that these data have no way to show."""
+def _list_impossible(
+    measured: Measured, reduction: Reduction | None, mass: NDArray, span: float, slides: bool
+) -> dict[str, str]:
+    """List the effects that these data have no way to show, each with the reason.
+
+    `mass` (n,) [kg]; `span` is how far apart the pushes are in order.
+    """
     out: dict[str, str] = {}
     if reduction is None:
         out[PRESLIDING] = "bristles are looked for in recordings only"
@@ -134,7 +148,8 @@ def _impossible(measured: Measured, reduction, mass, span, slides) -> dict[str, 
     return out
 
 
-def _scales(rig: Rig, measured: Measured, strokes, mass) -> Scales:
+def _estimate_scales(rig: Rig, measured: Measured, strokes: NDArray, mass: NDArray) -> Scales:
+    """Estimate what the pushes are like from what was measured; `strokes` [m], `mass` [kg] (n,)."""
     F, d = measured.peak_force, measured.sliding_distance
     mu = float(parameters.values(rig)["mu_s"])
     peak = float(np.nanmax(F)) if np.isfinite(F).any() else mu * float(mass.max()) * GRAVITY
@@ -150,9 +165,9 @@ def _scales(rig: Rig, measured: Measured, strokes, mass) -> Scales:
     )  # fmt: skip
 
 
-def beside(data: DiagnosisData, fit: Fit) -> tuple[DiagnosisData, Fits]:
-    """The data with what was free in a plain fit of them, and where that ended, as an ensemble of
-    one."""
+def join_plain_fit(data: DiagnosisData, fit: Fit) -> tuple[DiagnosisData, Fits]:
+    """Return the data with what was free in a plain fit of them, and where that fit ended, as an
+    ensemble of one."""
     task = data.task
     coordinates = task.model.coordinates
     shared = [name for name in dict.fromkeys(fit.names) if name in PLAIN and name != "mu_s"]

@@ -15,8 +15,8 @@ from difffric.rig.rig import Rig
 from difffric.rig.setup import Extras, Setup
 
 
-def stripped(setup: Setup) -> tuple[Setup, dict[str, float]]:
-    """The plain set-up behind an extended one, and the effects' numbers by name."""
+def strip_effects(setup: Setup) -> tuple[Setup, dict[str, float]]:
+    """Return the plain set-up behind an extended one, and the effects' numbers by name."""
     rig = setup.rig
     known = {n: float(parameters.values(rig)[n]) for n in catalogue.parameter_names(rig)}
     extras = {name: x for name, x in setup.extras.items() if name not in catalogue.KEYS}
@@ -28,8 +28,8 @@ def stripped(setup: Setup) -> tuple[Setup, dict[str, float]]:
     return replace(setup, rig=plain, extras=extras), known
 
 
-def extended_rig(plain: Rig, task: Task, fits: Fits) -> Rig:
-    """The plain rig as an ensemble of one has it, with its effects."""
+def extend_rig(plain: Rig, task: Task, fits: Fits) -> Rig:
+    """Return the plain rig with the numbers and effects that `fits` (an ensemble of one) has."""
     coordinates = task.model.coordinates
     values: dict[str, float] = dict(zip(PLAIN, coordinates.values(fits.c[0], PLAIN), strict=True))
     values["mu_s"] = float(np.exp(fits.mu[0].mean()))
@@ -42,8 +42,9 @@ def extended_rig(plain: Rig, task: Task, fits: Fits) -> Rig:
     return catalogue.extended(parameters.with_values(plain, values), inside)
 
 
-def extended_setup(setup: Setup, rig: Rig, task: Task, fits: Fits) -> Setup:
-    """The set-up as it is written: values, standard errors, what is free."""
+def extend_setup(setup: Setup, rig: Rig, task: Task, fits: Fits) -> Setup:
+    """Return the set-up as it is written to a file: the extended `rig`, its numbers' standard
+    errors by `fits` (an ensemble of one), and what is free."""
     coordinates = task.model.coordinates
     C = en.covariance(task, fits)[0][task.conditions :, task.conditions :]
     extras = dict(setup.extras)
@@ -54,4 +55,4 @@ def extended_setup(setup: Setup, rig: Rig, task: Task, fits: Fits) -> Setup:
         known = extras.get(name, Extras())
         extras[name] = Extras(error if error > 0 else None, True, known.lower, known.upper)
     scatter = float(fits.scatter[0]) if task.mu_free else setup.mu_s_scatter
-    return Setup(rig, scatter, extras)
+    return replace(setup, rig=rig, mu_s_scatter=scatter, extras=extras)

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from difffric.measurements.pushes import Pushes
 from difffric.rig import parameters
@@ -20,7 +21,8 @@ _BEYOND = 3.0
 
 @dataclass(frozen=True)
 class Certificate:
-    """One of them."""
+    """A measured distance that proves the plain model wrong: no k, b and k_v let a part get so
+    far."""
 
     push: int
     """its place in the data, from 0"""
@@ -33,21 +35,24 @@ class Certificate:
         return asdict(self)
 
 
-def lossless_bound(velocity, mu_k):
-    """The most that a rebound can give: d <= (2 v)^2 / (2 mu_k g) [m], for any k, b and k_v.
+def compute_lossless_bound(velocity: NDArray, mu_k: NDArray | float) -> NDArray:
+    """Return the most that a rebound can give, d <= (2 v)^2 / (2 mu_k g) [m], for any k, b and k_v.
 
-    Holds for mu_k / mu_s >= 0.6.
+    A contact without loss throws the part at twice the pusher's `velocity` [m/s], and drag alone
+    stops it. The bound holds for mu_k / mu_s >= 0.6.
     """
     return 4 * velocity**2 / (2 * mu_k * GRAVITY)
 
 
-def unreachable(measured: Pushes, rig: Rig) -> tuple[Certificate, ...]:
-    """Pushes of a known mu_s whose d is above the lossless bound. Where mu_s is not known, a small
-    one explains any distance."""
+def find_unreachable(measured: Pushes, rig: Rig) -> tuple[Certificate, ...]:
+    """Find the pushes of a known mu_s whose d is above the lossless bound.
+
+    Where mu_s is not known, a small one explains any distance.
+    """
     ratio = float(parameters.values(rig)["mu_k_over_mu_s"])
     if ratio < LEAST_RATIO or measured.free_slides:
         return ()
-    bound = lossless_bound(measured.velocity, ratio * measured.mu_s_gauge)
+    bound = compute_lossless_bound(measured.velocity, ratio * measured.mu_s_gauge)
     over = measured.sliding_distance - _BEYOND * np.nan_to_num(measured.sliding_distance_se)
     return tuple(
         Certificate(

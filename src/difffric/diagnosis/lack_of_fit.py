@@ -12,6 +12,9 @@ from difffric.estimation.ensemble import Fits, Task
 
 BINS = 12
 """Stretches that each channel of a push is cut into: a misfit lasts longer than a sample."""
+_LINEAR = 0.3
+"""Excess of chi-square over what noise would leave, as a share of that, up to which an effect is
+taken for so small that the answers are linear in it."""
 
 
 @dataclass(frozen=True)
@@ -28,18 +31,19 @@ class LackOfFit:
     """(n, 2) of each push and channel"""
 
 
-_LINEAR = 0.3
-
-
-def far(task: Task, fits: Fits) -> bool:
+def is_misfit_large(task: Task, fits: Fits) -> bool:
     """Whether a fit (an ensemble of one) leaves so much, relative to the noise, that what is
     linear at an effect's null is not to be trusted; or nothing is known of the noise."""
-    left = lack_of_fit(task, fits)
+    left = measure_lack_of_fit(task, fits)
     return left.p_value is None or left.excess > _LINEAR * left.expected
 
 
-def lack_of_fit(task: Task, fits: Fits) -> LackOfFit:
-    """Of an ensemble of one, where it stands."""
+def measure_lack_of_fit(task: Task, fits: Fits) -> LackOfFit:
+    """Test the residuals of a fit (an ensemble of one) where it stands.
+
+    Recordings are tested by sums over stretches of each push, a table by its numbers and by how
+    each push's own mu_s scatters.
+    """
     r = fits.residual[0] / fits.spread[0][None, :, None]
     chi2 = (r**2).sum(axis=2)
     numbers = task.counts.sum()

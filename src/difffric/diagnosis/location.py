@@ -18,9 +18,16 @@ from difffric.rig.scales import Scales
 TYPICAL = 0.5
 """Standard deviation that a curve's coefficients are assumed to have: not much larger than 1."""
 POINTS = 60
-_FIRST_ROUNDS, _ROUNDS = 6, 12
+"""Points at which the curve of a correction is told."""
+_FIRST_ROUNDS = 6
+"""Steps at most of each form's fit to some of the pushes."""
+_ROUNDS = 12
+"""Steps at most of a leading form's fit to all pushes."""
 _LEADERS = 2
+"""Forms that are fitted to all pushes."""
 _DIRECTIONS = 18
+"""Numbers that a program with free forms has derivatives by at once: mu_s, the shared ones, a
+curve's and those beside it."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +60,8 @@ class Location:
         }
 
 
-def with_forms(task: Task, scales: Scales) -> Task:
-    """The task with all free forms, whose coefficients are assumed to be small."""
+def add_free_forms(task: Task, scales: Scales) -> Task:
+    """Return the task with all free forms, whose coefficients are assumed to be small."""
     model = task.model
     coordinates = model.coordinates.with_forms()
     rig = free_form.free_rig(model.rig, scales)
@@ -68,8 +75,12 @@ def with_forms(task: Task, scales: Scales) -> Task:
 
 
 def locate(task: Task, plain: Fits, scales: Scales, excess: float) -> Location:
-    """The location of what a plain fit (an ensemble of one) leaves unexplained."""
-    wide = with_forms(task, scales)
+    """Locate what a plain fit (an ensemble of one) leaves unexplained.
+
+    `excess` is the chi-square of the plain fit beyond the noise's, of which each form explains a
+    share.
+    """
+    wide = add_free_forms(task, scales)
     coordinates = wide.model.coordinates
     extra = []
     for name, form in FORMS.items():
@@ -95,13 +106,21 @@ def locate(task: Task, plain: Fits, scales: Scales, excess: float) -> Location:
     drop = float(en.criterion(task, plain)[0]) - en.criterion(wide, at)
     explained[leaders] = np.clip(drop / max(excess, 1.0), 0, 1)
     best = int(np.argmax(drop - price[leaders]))
-    return _told(
-        wide, at.pick([best]), list(FORMS)[leaders[best]], scales,
-        dict(zip(FORMS, explained.tolist(), strict=True)), float((drop - price[leaders])[best]),
-    )  # fmt: skip
+    name = list(FORMS)[leaders[best]]
+    shares = dict(zip(FORMS, explained.tolist(), strict=True))
+    worth = float((drop - price[leaders])[best])
+    return _make_location(wide, at.pick([best]), name, scales, shares, worth)
 
 
-def _told(task: Task, at: Fits, name: str, scales: Scales, explained, drop) -> Location:
+def _make_location(
+    task: Task,
+    at: Fits,
+    name: str,
+    scales: Scales,
+    explained: dict[str, float],
+    penalised_drop: float,
+) -> Location:
+    """Return the curve of the form `name` with its standard error, as the fit `at` has it."""
     form = FORMS[name]
     x = np.linspace(0.0, form.over(scales)[0], POINTS)
     B = free_form.basis(name, scales, x)
@@ -110,6 +129,13 @@ def _told(task: Task, at: Fits, name: str, scales: Scales, explained, drop) -> L
     mine = task.conditions + np.array([columns.index(i) for i in index])
     C = en.covariance(task, at)[0][np.ix_(mine, mine)]
     return Location(
-        form.component, name, form.quantity, form.unit, x, B @ at.c[0, index],
-        np.sqrt(np.einsum("ij,jk,ik->i", B, C, B)), explained, drop,
-    )  # fmt: skip
+        component=form.component,
+        form=name,
+        quantity=form.quantity,
+        unit=form.unit,
+        x=x,
+        correction=B @ at.c[0, index],
+        standard_error=np.sqrt(np.einsum("ij,jk,ik->i", B, C, B)),
+        explained=explained,
+        penalised_drop=penalised_drop,
+    )

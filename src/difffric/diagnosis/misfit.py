@@ -20,6 +20,7 @@ PHASES = ("stuck", "closing", "rebounding", "free", "at rest")
 FORCE, POSITION, DISTANCE, FRICTION = "force", "position", "distance", "mu_s"
 """Channels; of a table, each push's mu_s in units of its scatter is one."""
 _BINS = 8
+"""Groups at most into which a quantity's values are divided."""
 _SMOOTH = 5
 """Blocks over which the part's speed is taken."""
 _NO_FORCE = 0.01
@@ -56,8 +57,8 @@ class Misfit:
 
 
 @dataclass(frozen=True)
-class _Channel:
-    """All numbers of one channel, one after the other."""
+class _ChannelResiduals:
+    """All squared residuals of one channel, one after the other."""
 
     name: str
     before: NDArray
@@ -72,29 +73,29 @@ class _Channel:
     """time since contact [s]"""
 
 
-def misfits(data: DiagnosisData, plain: Fits, extended: Fits) -> tuple[Misfit, ...]:
-    """What two fits (ensembles of one), without and with the causes, leave, and where."""
-    channels = _channels(data, plain, extended)
+def measure_misfits(data: DiagnosisData, plain: Fits, extended: Fits) -> tuple[Misfit, ...]:
+    """Measure what two fits (ensembles of one), without and with the causes, leave, and where."""
+    channels = _collect_residuals(data, plain, extended)
     measured, out = data.measured, []
     conditions = list(dict.fromkeys(measured.condition))
     order = measured.order if np.isfinite(measured.order).all() else np.arange(len(measured)) + 1.0
     kind = np.array([conditions.index(c) for c in measured.condition])
     for one in channels:
         if one.phase is not None:
-            out.append(_named(one, "phase", one.phase, PHASES))
-        out.append(_binned(one, "speed", "m/s", np.asarray(measured.velocity)[one.push]))
+            out.append(_group_by_name(one, "phase", one.phase, PHASES))
+        out.append(_group_by_value(one, "speed", "m/s", np.asarray(measured.velocity)[one.push]))
         if one.x is not None and np.isfinite(one.x).any():
-            out.append(_binned(one, "position", "m", one.x))
+            out.append(_group_by_value(one, "position", "m", one.x))
         if one.since is not None:
-            out.append(_binned(one, "time since contact", "s", one.since))
-        out.append(_binned(one, "order", "", order[one.push]))
+            out.append(_group_by_value(one, "time since contact", "s", one.since))
+        out.append(_group_by_value(one, "order", "", order[one.push]))
         if len(conditions) > 1:
-            out.append(_named(one, "condition", kind[one.push], conditions))
+            out.append(_group_by_name(one, "condition", kind[one.push], conditions))
     return tuple(out)
 
 
-def told(found: Sequence[Misfit]) -> str | None:
-    """Where most of the misfit sits, in words; None: there is none to speak of."""
+def describe_misfits(found: Sequence[Misfit]) -> str | None:
+    """Say in words where most of the misfit sits; None where there is none to speak of."""
     phases = [one for one in found if one.by == "phase"]
     if not phases:
         return None
@@ -115,7 +116,7 @@ def told(found: Sequence[Misfit]) -> str | None:
     )
 
 
-def _channels(data: DiagnosisData, plain: Fits, extended: Fits) -> list[_Channel]:
+def _collect_residuals(data: DiagnosisData, plain: Fits, extended: Fits) -> list[_ChannelResiduals]:
     task = data.task
     squares = [
         (fits.residual[0] / fits.spread[0][None, :, None]) ** 2 for fits in (plain, extended)
@@ -126,20 +127,22 @@ def _channels(data: DiagnosisData, plain: Fits, extended: Fits) -> list[_Channel
             mine = np.flatnonzero(task.counts[:, k])
             # A mu_s of each push takes up its distance: what it takes stands below.
             if len(mine) and (name == FORCE or not task.mu_free):
-                out.append(_Channel(name, squares[0][mine, k, 0], squares[1][mine, k, 0], mine))
+                out.append(
+                    _ChannelResiduals(name, squares[0][mine, k, 0], squares[1][mine, k, 0], mine)
+                )
         if task.mu_free:
             before, after = ((fits.own[0] / fits.scatter[0]) ** 2 for fits in (plain, extended))
-            out.append(_Channel(FRICTION, before, after, np.arange(task.n)))
+            out.append(_ChannelResiduals(FRICTION, before, after, np.arange(task.n)))
         return out
     out = []
-    course = [_course(data, i, reduced) for i, reduced in enumerate(data.reduction.details)]
+    course = [_follow_course(data, i, reduced) for i, reduced in enumerate(data.reduction.details)]
     for k, name in enumerate((FORCE, POSITION)):
         blocks = task.model.pushes.data[k]
         parts = []
         for i, (t, phase, x, since) in enumerate(course):
             there = blocks.a[i] > 0
             if there.any():
-                at = _times(blocks, i)[there]
+                at = _find_middles(blocks, i)[there]
                 nearest = np.clip(np.searchsorted(t, at), 0, len(t) - 1)
                 parts.append(
                     (*(s[i, k][there] for s in squares), np.full(there.sum(), i),
@@ -147,26 +150,27 @@ def _channels(data: DiagnosisData, plain: Fits, extended: Fits) -> list[_Channel
                 )  # fmt: skip
         if parts:
             columns = (np.concatenate(column) for column in zip(*parts, strict=True))
-            out.append(_Channel(name, *columns))
+            out.append(_ChannelResiduals(name, *columns))
     return out
 
 
-def _times(blocks: Blocks, i: int) -> NDArray:
-    """(m,) middles of a push's blocks [s]."""
+def _find_middles(blocks: Blocks, i: int) -> NDArray:
+    """Return the (m,) middles of a push's blocks [s]."""
     return 0.5 * (blocks.t[i][blocks.first[i]] + blocks.t[i][blocks.second[i]])
 
 
-def _course(data: DiagnosisData, i: int, reduced: Reduced):
-    """(times [s], phase there, how far the part is from its start [m], a function from times to
-    the last contact before them), from what was measured."""
+def _follow_course(data: DiagnosisData, i: int, reduced: Reduced):
+    """Follow push i from what was measured: the times of its blocks [s], the number of its phase
+    there, how far the part is from its start [m], and a function from times to the last contact
+    before them."""
     force, position = data.task.model.pushes.data
     v = float(np.asarray(data.measured.velocity)[i])
     there = [blocks.a[i] > 0 for blocks in (force, position)]
     both = zip((force, position), there, strict=True)
-    t = np.sort(np.concatenate([_times(blocks, i)[mine] for blocks, mine in both]))
+    t = np.sort(np.concatenate([_find_middles(blocks, i)[mine] for blocks, mine in both]))
     x, u = np.full(len(t), np.nan), np.full(len(t), np.nan)
     if there[1].sum() > _SMOOTH:
-        tx, y = _times(position, i)[there[1]], position.y[i][there[1]]
+        tx, y = _find_middles(position, i)[there[1]], position.y[i][there[1]]
         before = y[tx <= 0]
         y = y - (before.mean() if len(before) else y[0])
         smooth = np.ones(_SMOOTH) / _SMOOTH
@@ -175,7 +179,7 @@ def _course(data: DiagnosisData, i: int, reduced: Reduced):
         x, u = np.interp(t, tx, y), np.interp(t, ty, slope)
     touching = t < (reduced.release_time if np.isfinite(reduced.release_time) else np.inf)
     if there[0].any():
-        f = np.interp(t, _times(force, i)[there[0]], force.y[i][there[0]])
+        f = np.interp(t, _find_middles(force, i)[there[0]], force.y[i][there[0]])
         touching &= f > _NO_FORCE * np.max(f)
     phase = np.where(np.nan_to_num(u) > v, 2, 1)
     phase[np.isfinite(u) & (u < _STILL * v)] = 0
@@ -190,12 +194,16 @@ def _course(data: DiagnosisData, i: int, reduced: Reduced):
     return t, phase, x, last
 
 
-def _named(one: _Channel, by: str, number: NDArray, names: Sequence[str]) -> Misfit:
+def _group_by_name(
+    one: _ChannelResiduals, by: str, number: NDArray, names: Sequence[str]
+) -> Misfit:
     there = [k for k in range(len(names)) if (number == k).any()]
-    return _of(one, by, "", tuple(names[k] for k in there), [number == k for k in there])
+    return _average_groups(
+        one, by, "", tuple(names[k] for k in there), [number == k for k in there]
+    )
 
 
-def _binned(one: _Channel, by: str, unit: str, value: NDArray) -> Misfit:
+def _group_by_value(one: _ChannelResiduals, by: str, unit: str, value: NDArray) -> Misfit:
     distinct = np.unique(value[np.isfinite(value)])
     if len(distinct) <= _BINS:
         edges = np.append(distinct, np.inf)
@@ -204,10 +212,10 @@ def _binned(one: _Channel, by: str, unit: str, value: NDArray) -> Misfit:
         edges[-1] = np.inf
     masks = [(value >= low) & (value < high) for low, high in pairwise(edges)]
     masks = [mask for mask in masks if mask.any()]
-    return _of(one, by, unit, tuple(float(np.median(value[m])) for m in masks), masks)
+    return _average_groups(one, by, unit, tuple(float(np.median(value[m])) for m in masks), masks)
 
 
-def _of(one: _Channel, by: str, unit: str, at, masks) -> Misfit:
+def _average_groups(one: _ChannelResiduals, by: str, unit: str, at, masks) -> Misfit:
     numbers = np.array([mask.sum() for mask in masks])
     before, after = (
         np.array([x[mask].mean() for mask in masks]) for x in (one.before, one.after)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,10 +55,23 @@ class Experiment:
         return asdict(self)
 
 
-def designs(data: DiagnosisData) -> tuple[Pushes, NDArray]:
-    """The pushes that are thought of: other speeds, a longer stroke, a heavier part, a long rest.
-    Repeated to be as many as the data, so that the same program follows them; and the numbers of
-    those that differ."""
+class Pair(NamedTuple):
+    """Two models that a push is to tell apart."""
+
+    names: tuple[str, str]
+    """their effects; "plain" is the model without any"""
+    truth: Fits
+    """the model that is taken for the truth, an ensemble of one"""
+    other: Fits
+    """an ensemble of one, with its answers to the data"""
+
+
+def propose_pushes(data: DiagnosisData) -> tuple[Pushes, NDArray]:
+    """Propose pushes: other speeds, a longer stroke, a heavier part, a long rest.
+
+    They are repeated to be as many as the data, so that the same program follows them; the numbers
+    of those that differ are returned, too.
+    """
     old = data.task.model.pushes
     n = data.task.n
     v = np.asarray(old.velocity)
@@ -75,18 +88,15 @@ def designs(data: DiagnosisData) -> tuple[Pushes, NDArray]:
     return whole, np.arange(min(n, len(rows)))
 
 
-def next_experiment(
-    data: DiagnosisData, pairs: Sequence[tuple[tuple[str, str], Fits, Fits]]
-) -> tuple[Experiment, ...]:
-    """The best push for each pair: its names, the model taken for the truth, and the other (each
-    an ensemble of one, the other with its answers to the data)."""
-    new, some = designs(data)
+def plan_experiments(data: DiagnosisData, pairs: Sequence[Pair]) -> tuple[Experiment, ...]:
+    """Choose for each pair the push that tells the two apart best, as far as any does."""
+    new, some = propose_pushes(data)
     task = replace(data.task, condition=np.zeros(data.task.n, int))
-    empty = new._replace(data=_empty(data, new))
+    blank = new._replace(data=_make_blank_data(data, new))
     out = []
     for names, truth, other in pairs:
-        told = _seen(task, empty, truth, some)
-        apart = _apart(data.task, task, empty._replace(data=told), other, some)
+        seen = blank._replace(data=_read(task, blank, truth, some))
+        apart = _separate(data.task, task, seen, other, some)
         known = np.isfinite(apart)
         if known.any():
             i = int(np.argmax(np.where(known, apart, -1.0)))
@@ -100,8 +110,8 @@ def next_experiment(
     return tuple(out)
 
 
-def _empty(data: DiagnosisData, new: Pushes) -> Any:
-    """The samples of pushes that nobody has made: all of them zero."""
+def _make_blank_data(data: DiagnosisData, new: Pushes) -> Any:
+    """Return data of pushes that nobody has made: all numbers, or samples, are zero."""
     old = data.task.model.pushes.data
     n = data.task.n
     if data.reduction is None:
@@ -126,28 +136,28 @@ def _empty(data: DiagnosisData, new: Pushes) -> Any:
     return tuple(stacked(p, *size) for p, size in zip(parts, sizes, strict=True))
 
 
-def _follow(task: Task, pushes: Pushes, fits: Fits, some: NDArray):
-    """(the task with these pushes, the fits' answers to them, their own mu_s at the mean)."""
+def _follow(task: Task, pushes: Pushes, fits: Fits, some: NDArray) -> tuple[Task, Fits]:
+    """Return the task with these pushes, and the fits' answers to them, each at the mean mu_s."""
     there = replace(task, model=replace(task.model, pushes=pushes))
     mean = fits.mu.mean(axis=1, keepdims=True)
     at = replace(fits, mu=mean, own=np.zeros_like(fits.own), gram=None, residual=None)
     return there, en.evaluated(there, at, some)
 
 
-def _seen(task: Task, empty: Pushes, truth: Fits, some: NDArray) -> Any:
-    """What a model reads of the pushes, in the place of measurements."""
-    _, at = _follow(task, empty, truth, some)
+def _read(task: Task, blank: Pushes, truth: Fits, some: NDArray) -> Any:
+    """Return what the model `truth` reads of the pushes, as data in the place of `blank`'s."""
+    _, at = _follow(task, blank, truth, some)
     r = at.residual[0]
     if not task.model.recordings:
-        weight = empty.data[1]
+        weight = blank.data[1]
         return -r[:, :, 0] / np.where(weight > 0, weight, 1.0), weight
     return tuple(
-        blocks._replace(y=_unwhitened(blocks, -r[:, k])) for k, blocks in enumerate(empty.data)
+        blocks._replace(y=_undo_whitening(blocks, -r[:, k])) for k, blocks in enumerate(blank.data)
     )
 
 
-def _unwhitened(blocks: Blocks, white: NDArray) -> NDArray:
-    """(n, m) what has these whitened values."""
+def _undo_whitening(blocks: Blocks, white: NDArray) -> NDArray:
+    """Return the (n, m) values whose whitened ones are `white`."""
     out = np.zeros_like(white)
     before = np.zeros(len(white))
     for j in range(white.shape[1]):
@@ -157,11 +167,11 @@ def _unwhitened(blocks: Blocks, white: NDArray) -> NDArray:
     return out
 
 
-def _apart(given: Task, task: Task, told: Pushes, other: Fits, some: NDArray) -> NDArray:
-    """(n,) how far the other model stays from what is told of each push, in standard deviations,
-    once it has been fitted to the push and to the data."""
+def _separate(given: Task, task: Task, seen: Pushes, other: Fits, some: NDArray) -> NDArray:
+    """Return how far the other model stays from what was seen of each push (n,), in standard
+    deviations, once it has been fitted to the push and to the data `given`."""
     known = en.normal(given, other)
-    there, at = _follow(task, told, other, some)
+    there, at = _follow(task, seen, other, some)
     G = np.einsum("nkij,k->nij", at.gram[0], 1.0 / other.spread[0] ** 2)
     C, D = given.conditions, G.shape[1] - 1
     out = np.full(there.n, np.nan)

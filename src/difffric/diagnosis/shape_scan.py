@@ -26,13 +26,20 @@ SHAPED = {
 }
 """id -> keys of its shape and of its phase"""
 SHORTEST = 2e-4
-"""wavelength [m] that is looked for"""
+"""The shortest wavelength [m] that is looked for."""
 MOST = 50
 """Shapes in the first pass."""
 _AMPLITUDE = 1e-3
 """Coordinate of the sine where derivatives are taken: at the null the cosine has none."""
 _LARGEST = 0.7
-_PEAKS, _BINS, _STARTS = 3, 6, 4
+"""The largest amplitude that a start has, relative to what waves: a prediction beyond it is no
+longer linear."""
+_PEAKS = 3
+"""Peaks of the first pass that the second looks about, where the misfit is large."""
+_BINS = 6
+"""Wavelengths of the first pass that the second looks about, where it is small."""
+_STARTS = 4
+"""Shapes at most from which an effect is fitted."""
 _FIRST = slice(1, 4)
 """Of the pushes by how far they reach, those that begin: not the slowest, which take longest."""
 _WAYS = 2.0
@@ -41,13 +48,14 @@ _PLACES = 14
 """Places within the shortest way, and again as many beyond it."""
 
 
-def shape_starts(
+def scan_shapes(
     task: Task, base: Fits, effect: str, scales: Scales, some: NDArray, far: bool
 ) -> Fits:
-    """Starts of a search for one effect on top of `base` (an ensemble of one).
+    """Return starts of a search for one effect on top of `base` (an ensemble of one): the shapes
+    that would explain most.
 
-    `some`: numbers of the pushes that a scan looks at. Unless `far` the rest of the model is where
-    it would be beside the effect, to first order.
+    `some` numbers the pushes that the scan looks at. Unless the misfit is large (`far`) the rest of
+    the model is where it would be beside the effect, to first order.
     """
     key, phase = SHAPED[effect]
     names = [f"{effect}.amplitude", f"{effect}.{key}"]
@@ -58,8 +66,8 @@ def shape_starts(
         low, high = np.min(way), np.max(way)
         shapes = np.linspace(0.04, 1.0, _PLACES) * low
         shapes = np.append(shapes, np.linspace(low, high, _PLACES)[1:-1])
-        drop, starts = _scores(task, base, index, shapes, some, far)
-        return starts.pick(_peaks(drop)[:_STARTS])
+        drop, starts = _score_shapes(task, base, index, shapes, some, far)
+        return starts.pick(_find_peaks(drop)[:_STARTS])
     near = some[np.argsort(way[some], kind="stable")]
     if task.model.recordings and len(near) > _FIRST.stop:  # of a table each push says little
         near = near[_FIRST] if far else near[_FIRST.start : 2 * _FIRST.stop]
@@ -67,34 +75,41 @@ def shape_starts(
     step = 1.0 / (3.0 * short)
     last = min(1.0 / SHORTEST, 0.5 / short + MOST * step)
     turns = np.arange(0.5 / short, last + step, step)
-    drop, _ = _scores(task, base, index, 1.0 / turns, near, far)
+    drop, _ = _score_shapes(task, base, index, 1.0 / turns, near, far)
     fine = 1.0 / (6.0 * long)
     spread = np.arange(-0.5 * step, 0.5 * step + 1e-9, fine)
     # A small wave's peak may lie on the side of another's.
-    first = _peaks(drop)[:_PEAKS] if far else np.argsort(-drop)[:_BINS]
+    first = _find_peaks(drop)[:_PEAKS] if far else np.argsort(-drop)[:_BINS]
     between = (turns[first, None] + spread).ravel()
-    drop, starts = _scores(task, base, index, 1.0 / between[between > 0], some, far)
-    return starts.pick(_peaks(drop)[:_STARTS])
+    drop, starts = _score_shapes(task, base, index, 1.0 / between[between > 0], some, far)
+    return starts.pick(_find_peaks(drop)[:_STARTS])
 
 
-def within_the_way(task: Task, c: NDArray, effect: str, scales: Scales) -> bool:
-    """Whether coordinates c show a good part of a wave, which else is anything that bends; of an
-    effect that does not wave, true."""
+def is_within_travel(task: Task, c: NDArray, effect: str, scales: Scales) -> bool:
+    """Whether a wave at the coordinates c (K,) is short enough for the pushes to show a good part
+    of it; a longer one stands for anything that bends. True of an effect that does not wave."""
     if effect not in SHAPED or SHAPED[effect][1] is None:
         return True
     name = f"{effect}.{SHAPED[effect][0]}"
     return task.model.coordinates.values(c, [name])[0] < _WAYS * float(np.max(scales.ways))
 
 
-def _peaks(values: NDArray) -> NDArray:
-    """Indices of local maxima, the largest first."""
+def _find_peaks(values: NDArray) -> NDArray:
+    """Return the indices of local maxima, the largest first."""
     padded = np.concatenate([[-np.inf], values, [-np.inf]])
     top = np.flatnonzero((values >= padded[:-2]) & (values > padded[2:]))
     return top[np.argsort(-values[top])]
 
 
-def _scores(task: Task, base: Fits, index: Sequence[int], shapes, pushes, far: bool) -> tuple:
-    """(predicted drop (m,), fits there with the amplitude and phase that are predicted)."""
+def _score_shapes(
+    task: Task, base: Fits, index: Sequence[int], shapes: NDArray, pushes: NDArray, far: bool
+) -> tuple[NDArray, Fits]:
+    """Run a score test for each of the shapes (m,), a wavelength or a place [m].
+
+    `index` are the coordinates of the amplitude, the shape and, where there is one, the phase.
+    Returns the predicted drops of chi-square (m,), and fits with the amplitude and phase at which
+    they are predicted.
+    """
     coordinates, m = task.model.coordinates, len(shapes)
     amplitude, shape = index[:2]
     free = [amplitude, *index[2:]]

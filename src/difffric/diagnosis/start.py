@@ -1,7 +1,13 @@
-"""Where a diagnosis starts: the data, the plain fit, the program that follows extended models."""
+"""Where a diagnosis starts: the data, the best plain fit, the program that follows extended models.
+
+A strong effect bends the plain fit and gives it several optima; the search is worth only as much as
+the fit that it extends. So the plain fit is begun from several places, and begun again from where
+a leading effect has led.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from threading import Thread
 
@@ -9,10 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.calibration.calibrate import Fit, fit
-from difffric.diagnosis.data import DiagnosisData, beside, diagnosis_data
-from difffric.diagnosis.extended_setup import stripped
+from difffric.diagnosis.data import DiagnosisData, join_plain_fit, prepare_data
+from difffric.diagnosis.exploration import CandidateCause
+from difffric.diagnosis.extended_setup import strip_effects
+from difffric.diagnosis.lack_of_fit import is_misfit_large
+from difffric.estimation import ensemble as en
+from difffric.estimation import ensemble_refits
 from difffric.estimation.effect_coordinates import PLAIN
-from difffric.estimation.ensemble import Fits
+from difffric.estimation.ensemble import Fits, Task
 from difffric.estimation.stacked_data import sensor_errors
 from difffric.measurements.checks import checked_data
 from difffric.measurements.pushes import Pushes
@@ -20,12 +30,19 @@ from difffric.measurements.recordings import Recordings
 from difffric.measurements.reduction.reduce import reduce_recordings
 from difffric.progress import Tell
 from difffric.rig import parameters
+from difffric.rig.catalogue import numbers_of
 from difffric.rig.rig import Rig
 from difffric.rig.setup import Setup
 
 _SLIDE_READ = 1e-3
-"""Relative error of a free slide's distance where none is known: what its mu_s scatters by is
-taken for scatter."""
+"""Relative error of a free slide's distance where none is known: so small that all by which its
+mu_s scatters counts as scatter, and nothing as noise."""
+_ROUNDS = 20
+"""Steps at most of each fit of the plain model."""
+_BETTER = 1.0
+"""By how much -2 log likelihood must be lower for a fit without an effect to be another optimum."""
+_SHARE = 0.01
+"""The same as a share of what the effect explains; the larger of the two counts."""
 
 
 @dataclass(frozen=True)
@@ -43,47 +60,71 @@ class Start:
     """the set-up as it was given"""
 
 
-def start_of(setup: Setup, given: Pushes | Recordings, tell: Tell, **options) -> Start:
-    """Checks the data, fits the plain set-up, and makes the program beside it.
+def prepare_start(
+    setup: Setup,
+    given: Pushes | Recordings,
+    tell: Tell,
+    *,
+    use_data_mass: bool = False,
+    skip_bad: bool = False,
+) -> Start:
+    """Check the data, fit the plain set-up, and compile the program of extended models meanwhile.
 
-    `options`: use_data_mass, skip_bad.
+    `use_data_mass` and `skip_bad` are those of `diagnose`.
+
+    Raises `InputError` for data that cannot be used.
     """
-    own, known = stripped(setup)
+    own, known = strip_effects(setup)
     plain = own.rig
     if isinstance(given, Recordings):
-        checked: Pushes | Recordings = checked_data(given, plain, **options)
-        reduction = reduce_recordings(checked, skip_bad=options["skip_bad"])
+        checked: Pushes | Recordings = checked_data(
+            given, plain, use_data_mass=use_data_mass, skip_bad=skip_bad
+        )
+        reduction = reduce_recordings(checked, skip_bad=skip_bad)
         measured, noise = reduction.pushes, None
     else:
-        checked = measured = checked_data(given, plain, **options)
-        reduction, noise = None, _noise(plain, measured)
-    data = diagnosis_data(plain, measured, reduction, noise)
+        checked = measured = checked_data(
+            given, plain, use_data_mass=use_data_mass, skip_bad=skip_bad
+        )
+        reduction, noise = None, _collect_errors(plain, measured)
+    data = prepare_data(plain, measured, reduction, noise)
     compiling = Thread(target=data.task.model.compile)
     compiling.start()
     try:
         # One start will do: where the fit is poor, the search begins with more of its own.
         fitted = fit(
-            own, checked, thorough=False,
-            tell=lambda what, share: tell(what, 0.25 * share), **options,
-        )  # fmt: skip
+            own,
+            checked,
+            thorough=False,
+            use_data_mass=use_data_mass,
+            skip_bad=skip_bad,
+            tell=lambda what, share: tell(what, 0.25 * share),
+        )
     finally:
         compiling.join()
-    data, start = beside(data, fitted)
-    coordinates, free = data.task.model.coordinates, data.task.mu_free
-    c = start.c.copy()
+    data, start = join_plain_fit(data, fitted)
+    coordinates = data.task.model.coordinates
     extra = coordinates.indices(tuple(known))
+    c = start.c.copy()
     c[0, extra] = coordinates.point(known)
     at = replace(start, c=c, extra=(tuple(extra),))
-    values = parameters.values(plain)
-    c = c.copy()
+    return Start(data, fitted, tuple(known), at, _place_at_setup(data.task, at, plain))
+
+
+def _place_at_setup(task: Task, fits: Fits, plain: Rig) -> Fits:
+    """Return the fits (an ensemble of one) at the plain rig's own numbers; where mu_s is free, it
+    is the rig's in every push."""
+    coordinates, values = task.model.coordinates, parameters.values(plain)
+    c = fits.c.copy()
     c[0, coordinates.indices(PLAIN)] = coordinates.point({n: float(values[n]) for n in PLAIN})
-    mu = np.full_like(start.mu, np.log(float(values["mu_s"]))) if free else start.mu
-    guess = replace(at, c=c, mu=mu, own=np.zeros_like(start.own) if free else start.own)
-    return Start(data, fitted, tuple(known), at, guess)
+    if not task.mu_free:
+        return replace(fits, c=c)
+    mu = np.full_like(fits.mu, np.log(float(values["mu_s"])))
+    return replace(fits, c=c, mu=mu, own=np.zeros_like(fits.own))
 
 
-def _noise(rig: Rig, measured: Pushes) -> NDArray:
-    """(n, 2) standard errors of F_p and d; NaN: not known."""
+def _collect_errors(rig: Rig, measured: Pushes) -> NDArray:
+    """Return the (n, 2) standard errors of F_p [N] and d [m]; NaN where one is not known."""
     if measured.free_slides:
         d, v = measured.sliding_distance, measured.release_velocity
         through = np.nan_to_num(2 * d / v * measured.release_velocity_se)
@@ -95,8 +136,44 @@ def _noise(rig: Rig, measured: Pushes) -> NDArray:
     return np.where(np.isnan(noise), default, noise)
 
 
-def folds_of(v: NDArray, by_speed: bool) -> NDArray:
-    """(n,) the fold of each push: all of one speed, or one push each (of about twenty folds)."""
-    if by_speed:
-        return np.unique(v, return_inverse=True)[1]
-    return np.arange(len(v)) % max(min(len(v), 20), 1)
+def fit_plain_model(task: Task, start: Fits, guess: Fits) -> Fits:
+    """Return the best of the fits that begin from `start`; where that leaves a large misfit, also
+    from there with equal mu_s, and from `guess`, the set-up's own numbers (all ensembles of
+    one)."""
+    fits = ensemble_refits.refitted(task, start, _ROUNDS)
+    if not is_misfit_large(task, fits):
+        again = ensemble_refits.resettled(task, fits)
+        return fits if again is fits else ensemble_refits.refitted(task, again, _ROUNDS)
+    level = replace(start, own=np.zeros_like(start.own))
+    every = [fits, *(ensemble_refits.refitted(task, x, _ROUNDS) for x in (level, guess))]
+    best = min(every, key=lambda x: float(en.criterion(task, x)[0]))
+    return _rescan_and_refit(task, best)
+
+
+def find_better_base(task: Task, base: Fits, found: Sequence[CandidateCause]) -> Fits | None:
+    """Return a better fit than `base` without any of the leading effects `found`, begun from where
+    they led, or None.
+
+    What such a fit explains too was the failure of `base`, and not the effect's merit.
+    """
+    before = float(en.criterion(task, base)[0])
+    for candidate in found[:2]:
+        index = task.model.coordinates.indices(numbers_of(candidate.effect))
+        c = candidate.fits.c.copy()
+        c[0, index] = base.c[0, index]
+        bare = replace(candidate.fits, c=c, extra=base.extra, gram=None, damping=None)
+        bare = _rescan_and_refit(task, ensemble_refits.refitted(task, bare, _ROUNDS))
+        worth = max(_BETTER, _SHARE * candidate.drop)
+        if float(en.criterion(task, bare)[0]) < before - worth:
+            return bare
+    return None
+
+
+def _rescan_and_refit(task: Task, fits: Fits) -> Fits:
+    """Refit with each push's own mu_s looked for afresh, where that leads to a better fit."""
+    again = ensemble_refits.reowned(task, fits)
+    if again is fits:
+        return fits
+    again = ensemble_refits.refitted(task, again, _ROUNDS)
+    better = float(en.criterion(task, again)[0]) < float(en.criterion(task, fits)[0])
+    return again if better else fits

@@ -6,31 +6,40 @@ wavelength, a place) have none: there the search starts from a grid of values in
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from difffric.rig.catalogue import CATALOGUE, numbers_of
 from difffric.rig.scales import Scales
 from difffric.units import GRAVITY
 
-LOCAL = {
+SMOOTH_AT_NULL = {
     "tilt", "normal_force", "friction_drift", "quadratic_drag", "static_dwell", "friction_ratio",
     "rebound_damping", "contact_hardening", "initial_gap", "pusher_speed", "pusher_ramp",
     "pusher_lag", "force_lowpass", "force_highpass", "force_gain", "force_offset", "probe_scale",
     "channel_skew", "sample_clipping", "release_threshold",
 }  # fmt: skip
-"""Effects whose first derivative at the null is there: a search may start from it too."""
+"""Effects whose first derivative at the null is there: they have a score test, and a search may
+start from the null too."""
 
 
-def grid(effect: str, scale: Scales) -> Iterator[dict[str, float]]:
-    """Starting values [SI] of an effect's numbers."""
+def list_starting_values(effect: str, scales: Scales) -> list[dict[str, float]]:
+    """Return the sizes [SI] from which an effect is looked for, each as `numbers_of` names them.
+
+    The grids are coarse: they reach from where an effect begins to be seen in a push of these
+    scales to where it is beyond doubt.
+    """
     names = numbers_of(effect)
-    for values in _values(effect, scale):
-        yield dict(zip(names, np.atleast_1d(values).tolist(), strict=True))
+    return [
+        dict(zip(names, np.atleast_1d(values).tolist(), strict=True))
+        for values in _grid_of(effect, scales)
+    ]
 
 
-def _values(effect: str, s: Scales):
+def _grid_of(effect: str, s: Scales) -> Iterable[ArrayLike]:
+    """Return the values of an effect's numbers: a number, or one for each of them, an item."""
     signs = (-1.0, 1.0)
     weight = s.mass * GRAVITY
     match effect:

@@ -1,20 +1,30 @@
-"""What a diagnosis says: the verdict, its causes, and what they bought."""
+"""What a diagnosis says: the verdict, its causes, and what they gained."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any
 
+import numpy as np
+
 from difffric.calibration.result import Fit
+from difffric.diagnosis.data import DiagnosisData
+from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.impossible_measurements import Certificate
+from difffric.diagnosis.lack_of_fit import LackOfFit
 from difffric.diagnosis.location import Location
 from difffric.diagnosis.misfit import Misfit
 from difffric.diagnosis.next_experiment import Experiment
+from difffric.estimation import ensemble as en
+from difffric.estimation.ensemble import Fits, Task
+from difffric.rig.catalogue import CATALOGUE, RATIO, component_of, numbers_of
 from difffric.rig.rig import Rig
 from difffric.rig.setup import Setup
 
 ADEQUATE, NAMED, AMBIGUOUS, UNEXPLAINED = "adequate", "named", "ambiguous", "unexplained"
+_RATIO_TEXT = "mu_k / mu_s is not what the set-up says"
 
 
 @dataclass(frozen=True)
@@ -71,7 +81,7 @@ class Cause:
 
 
 @dataclass(frozen=True)
-class Gain:
+class HeldOutGain:
     """Errors on held-out pushes in units of the noise: 1 is perfect."""
 
     before: float
@@ -88,6 +98,21 @@ class Gain:
 
 
 @dataclass(frozen=True)
+class DiagnosisState:
+    """Where the search ended: what figures draw, and what a fleet compares rigs by."""
+
+    data: DiagnosisData
+    plain: Fits
+    """the plain model, an ensemble of one"""
+    extended: Fits
+    """the same with its causes; the plain model itself where there is none"""
+    lack_before: LackOfFit
+    """of the plain model"""
+    lack_after: LackOfFit
+    """of the model with all causes that the search found, those too that did not explain it"""
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """What the simulation gets wrong, why, how sure, and what it bought."""
 
@@ -97,7 +122,7 @@ class Diagnosis:
     causes: tuple[Cause, ...]
     negligible: tuple[Cause, ...]
     location: Location | None
-    gain: Gain
+    gain: HeldOutGain
     not_visible: tuple[str, ...]
     impossible: dict[str, str]
     """effects that these data cannot show, with the reason"""
@@ -117,8 +142,13 @@ class Diagnosis:
     misfit: tuple[Misfit, ...] = ()
     """where the plain model misses, and what is left with the causes"""
     notes: tuple[str, ...] = ()
-    work: Any = field(default=None, repr=False)
-    """the search's own state, for figures"""
+    state: DiagnosisState = field(repr=False, kw_only=True)
+    """where the search ended"""
+
+    @property
+    def used_recordings(self) -> bool:
+        """Whether it compared whole recordings, and not the reduced numbers of a table."""
+        return self.state.data.task.model.recordings
 
     def as_dict(self) -> dict[str, Any]:
         """As `result.json` holds it."""
@@ -170,3 +200,58 @@ class Diagnosis:
         if self.experiments:
             lines.append(f"    next: {self.experiments[0]}")
         return "\n".join([*lines, *(f"    note: {note}" for note in self.notes)])
+
+
+def describe_cause(
+    task: Task,
+    plain: Fits,
+    at: Fits,
+    candidate: CandidateCause,
+    alike: Sequence[str],
+    predicted: float,
+    gain: float,
+) -> Cause:
+    """Describe a candidate by its numbers in the fit `at` and by what it changes there.
+
+    `plain` and `at` are ensembles of one; `alike` names the effects that it is confused with,
+    `predicted` is the score test's drop of chi-square and `gain` the drop on held-out pushes.
+    """
+    effect, coordinates = candidate.effect, task.model.coordinates
+    C = en.covariance(task, at)[0][task.conditions :, task.conditions :]
+    names = numbers_of(effect)
+    keys = ["ratio" if effect == RATIO else name.partition(".")[2] for name in names]
+    errors = coordinates.errors(at.c[0], names, [*task.shared, *at.extra[0]], C)
+    pairs = zip(coordinates.values(at.c[0], names), errors, strict=True)
+    moved = at.mu[0, task.condition] + at.own[0] - plain.mu[0, task.condition] - plain.own[0]
+    force, distance = measure_changes(task, plain, at, effect)
+    return Cause(
+        id=effect,
+        component=component_of(effect),
+        text=_RATIO_TEXT if effect == RATIO else CATALOGUE[effect].text,
+        probability=1.0,
+        confusable_with=tuple(alike),
+        parameters=dict(zip(keys, pairs, strict=True)),
+        chi2_drop=candidate.drop,
+        chi2_drop_predicted=predicted,
+        p_value=candidate.p_value,
+        heldout_gain=gain,
+        change_mu_s=float(np.sqrt(np.mean(moved**2))),
+        change_peak_force=force,
+        change_sliding_distance=distance,
+    )
+
+
+def measure_changes(task: Task, plain: Fits, at: Fits, effect: str) -> tuple[float, float]:
+    """Return the relative changes (rms over the pushes) of F_p and d that an effect makes, all
+    else as it is in the fit `at` (an ensemble of one)."""
+    index = task.model.coordinates.indices(numbers_of(effect))
+    c = np.repeat(at.c, 2 * task.n, axis=0)
+    c[:, 0] = np.tile(at.mu[0, task.condition] + at.own[0], 2)
+    c[task.n :, index] = plain.c[0, index]
+    push = np.tile(np.arange(task.n), 2)
+    answers = task.model.answers(push, c, np.zeros((1, c.shape[1]))).model.reshape(2, task.n, 2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        change = answers[0] / answers[1] - 1
+    change = np.where(np.isfinite(change), change, 0.0)
+    force, distance = np.sqrt(np.mean(change**2, axis=0)).tolist()
+    return force, distance

@@ -14,15 +14,14 @@ import jax
 import numpy as np
 
 from difffric.atomic_files import write_whole
-from difffric.diagnosis import exploration as search
 from difffric.diagnosis.procedure import diagnose
-from difffric.diagnosis.start import start_of
-from difffric.diagnosis.starts import best_base
+from difffric.diagnosis.score_test import compute_p_value, run_score_tests
+from difffric.diagnosis.start import fit_plain_model, prepare_start
 from difffric.diagnosis.verdict import UNEXPLAINED, Diagnosis
 from difffric.errors import DifffricError
 from difffric.estimation import ensemble as en
 from difffric.estimation import ensemble_refits
-from difffric.fleet.archive import Source
+from difffric.fleet.archive import ArchiveFile
 from difffric.fleet.features import MADE_WITH
 from difffric.fleet.sample import MOST, sample
 from difffric.measurements.quantities import one_line
@@ -40,11 +39,11 @@ _ROUNDS = 40
 
 
 @dataclass(frozen=True)
-class Rig:
+class Member:
     """A rig that is to be diagnosed."""
 
     name: str
-    sources: tuple[Source, ...]
+    sources: tuple[ArchiveFile, ...]
     setup: Setup
     digest: str
     """of its set-up's file"""
@@ -63,14 +62,14 @@ class Rig:
     @property
     def answer(self) -> dict | None:
         """What is known of it, where it was made from what is there now."""
-        return _kept(Path(self.folder) / RESULT, self.key)
+        return _load_answer(Path(self.folder) / RESULT, self.key)
 
 
 @dataclass(frozen=True)
 class Question:
     """Whether a rig could have an effect of a size within a range, which other rigs have."""
 
-    rig: Rig
+    rig: Member
     effect: str
     sizes: tuple[tuple[str, tuple[float, ...]], ...]
     """key -> sizes that are tried [SI, as files write them], as many of each key"""
@@ -89,17 +88,17 @@ class Question:
     @property
     def answer(self) -> dict | None:
         """What is known."""
-        return _kept(self.path, self.key)
+        return _load_answer(self.path, self.key)
 
 
-def examine(rig: Rig) -> str | None:
+def examine(rig: Member) -> str | None:
     """Diagnose a rig and keep the answer; why it could not be, where it could not."""
     jax.config.update("jax_enable_x64", True)  # a worker's own process has not
     try:
         some = sample(rig.sources)
         found = diagnose(rig.setup, some.data, skip_bad=True, **dict(rig.options))
     except Exception as error:  # whatever it is, the other rigs are to have their answers
-        return _reason(error)
+        return _word_reason(error)
     folder = Path(rig.folder)
     folder.mkdir(parents=True, exist_ok=True)
     write_setup(found.setup, folder / SETUP)
@@ -108,51 +107,51 @@ def examine(rig: Rig) -> str | None:
         "files": len(rig.sources),
         "files_used": some.files,
         "pushes": len(found.mu_s),
-        "recordings": bool(found.work[0].task.model.recordings),
+        "recordings": found.used_recordings,
         "left_out": list(some.notes),
-        "known": sorted(_effects_of(rig.setup)),
+        "known": sorted(_list_effects(rig.setup)),
         "diagnosis": found.as_dict(),
-        "evidence": evidence_of(found),
+        "evidence": collect_evidence(found),
     }
-    _keep(folder / RESULT, rig.key, answer)
+    _save_answer(folder / RESULT, rig.key, answer)
     return None
 
 
-def evidence_of(found: Diagnosis) -> dict[str, dict]:
+def collect_evidence(found: Diagnosis) -> dict[str, dict]:
     """What one rig says for each effect that it was looked for, beside the rig's causes.
 
     `chi2_drop` with as many degrees of freedom as `numbers`, and its `p_value`, the effect's own
     looks counted, other effects not: of a cause by the refit, else by the score test on top of the
-    final model (with `at` and `visible`, see `cause_search.Score`), else, where there is no cause,
+    final model (with `at` and `visible`, see `score_test.Score`), else, where there is no cause,
     by the refit on top of the plain one; 0 where nothing spoke for it. Nothing where the misfit is
     unexplained: a model that is wrong is evidence of nothing.
     """
     if found.verdict == UNEXPLAINED:
         return {}
-    data, _, base, *_ = found.work
+    data, base = found.state.data, found.state.extended
     task = data.task
     names = [task.model.coordinates.names[i] for i in base.extra[0]]
     there = {RATIO if name == numbers_of(RATIO)[0] else name.partition(".")[0] for name in names}
     wanted = [e for e in data.looked_for if e not in there]
-    scores = search.score_tests(task, base, wanted)
+    scores = run_score_tests(task, base, wanted)
     refitted = {} if found.causes else {c.id: c.chi2_drop for c in found.considered}
     out = {}
     for effect in wanted:
         score = scores.get(effect)
         drop = refitted.get(effect, 0.0) if score is None else score.drop
-        out[effect] = _evidence(effect, drop)
+        out[effect] = _describe_evidence(effect, drop)
         if score is not None:
             out[effect] |= {"at": score.at, "visible": score.visible}
-    return out | {cause.id: _evidence(cause.id, cause.chi2_drop) for cause in found.causes}
+    return out | {cause.id: _describe_evidence(cause.id, cause.chi2_drop) for cause in found.causes}
 
 
-def _effects_of(setup: Setup) -> set[str]:
+def _list_effects(setup: Setup) -> set[str]:
     return {name.partition(".")[0] for name in catalogue.parameter_names(setup.rig)}
 
 
-def _evidence(effect: str, drop: float) -> dict:
+def _describe_evidence(effect: str, drop: float) -> dict:
     drop = max(float(drop), 0.0)
-    p = search.p_value(effect, drop, 1)
+    p = compute_p_value(effect, drop, 1)
     return {"chi2_drop": drop, "numbers": len(numbers_of(effect)), "p_value": p}
 
 
@@ -165,17 +164,17 @@ def ask(question: Question) -> str | None:
         some = sample(rig.sources)
         extended = read_setup(Path(rig.folder) / SETUP)
         mass = dict(rig.options).get("use_data_mass", False)
-        start = start_of(extended, some.data, silent, use_data_mass=mass, skip_bad=True)
+        start = prepare_start(extended, some.data, silent, use_data_mass=mass, skip_bad=True)
         task = start.data.task
-        base = best_base(task, start.at, start.guess)
-        excess = excess_of(task, base, question.effect, dict(question.sizes))
+        base = fit_plain_model(task, start.at, start.guess)
+        excess = compute_excess(task, base, question.effect, dict(question.sizes))
     except Exception as error:  # whatever it is, the other rigs are to have their answers
-        return _reason(error)
-    _keep(question.path, question.key, {"effect": question.effect, "excess": excess})
+        return _word_reason(error)
+    _save_answer(question.path, question.key, {"effect": question.effect, "excess": excess})
     return None
 
 
-def excess_of(task: en.Task, base: en.Fits, effect: str, sizes: Mapping) -> float:
+def compute_excess(task: en.Task, base: en.Fits, effect: str, sizes: Mapping) -> float:
     """-2 log likelihood with the effect at the best of some sizes (key -> as many numbers) less
     that of `base`, each the best of the fits from there and from equal mu_s of the pushes."""
     coordinates = task.model.coordinates
@@ -197,13 +196,13 @@ def excess_of(task: en.Task, base: en.Fits, effect: str, sizes: Mapping) -> floa
     return float(np.min(en.criterion(task, there)) - en.criterion(task, base)[0])
 
 
-def _reason(error: Exception) -> str:
+def _word_reason(error: Exception) -> str:
     """In one line; of what nobody foresaw, what it is."""
     words = one_line(" ".join(str(error).split()))
     return words if isinstance(error, DifffricError) else f"{type(error).__name__}: {words}"
 
 
-def _kept(path: Path, key: str) -> dict | None:
+def _load_answer(path: Path, key: str) -> dict | None:
     try:
         known = json.loads(path.read_bytes())
     except (OSError, ValueError):
@@ -211,6 +210,6 @@ def _kept(path: Path, key: str) -> dict | None:
     return known if isinstance(known, dict) and known.get("key") == key else None
 
 
-def _keep(path: Path, key: str, answer: Mapping) -> None:
+def _save_answer(path: Path, key: str, answer: Mapping) -> None:
     text = json.dumps(to_json_types({"key": key, **answer}), indent=1, allow_nan=False) + "\n"
     write_whole(path, lambda file: file.write(text.encode()))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.calibration.calibrate import Fit, fit
-from difffric.diagnosis.impossible_measurements import lossless_bound
+from difffric.diagnosis.impossible_measurements import compute_lossless_bound
 from difffric.diagnosis.procedure import diagnose
 from difffric.diagnosis.verdict import Diagnosis
 from difffric.identification.estimators import PushFriction, identify
@@ -263,7 +263,7 @@ def study(progress: Tell = silent) -> Paper:
 
 def bound_on(measured: Pushes, ratio: float = 0.75) -> NDArray:
     """The lossless bound on each push's d at the gauge's mu_s [m]."""
-    return lossless_bound(measured.velocity, ratio * measured.mu_s_gauge)
+    return compute_lossless_bound(measured.velocity, ratio * measured.mu_s_gauge)
 
 
 def _hidden(measured: Pushes, hide_F, hide_d) -> Pushes:

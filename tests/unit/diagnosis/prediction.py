@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from difffric.diagnosis.data import diagnosis_data
-from difffric.diagnosis.extended_setup import stripped
+from difffric.diagnosis.data import prepare_data
+from difffric.diagnosis.extended_setup import strip_effects
 from difffric.estimation import ensemble_refits
 from difffric.estimation.effect_coordinates import PLAIN
 from difffric.estimation.ensemble import Fits
@@ -21,12 +21,12 @@ from difffric.rig.setup import Setup
 def prediction_error(setup: Setup, data, noise=(0.5, 0.3e-6), **options) -> float:
     """Root mean square residual in units of the noise; of a table's F_p and d that noise's
     standard deviations are given."""
-    plain, known = stripped(setup)
+    plain, known = strip_effects(setup)
     data = checked_data(data, plain.rig, **options)
     reduction = reduce_recordings(data) if isinstance(data, Recordings) else None
     measured = reduction.pushes if reduction else data
     errors = None if reduction else np.tile(noise, (len(measured), 1))
-    found = diagnosis_data(plain.rig, measured, reduction, errors)
+    found = prepare_data(plain.rig, measured, reduction, errors)
     task, coordinates = replace(found.task, estimate_scatter=False), found.task.model.coordinates
     values = parameters.values(setup.rig)
     c = np.zeros((1, len(coordinates.names)))

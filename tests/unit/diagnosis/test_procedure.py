@@ -12,10 +12,10 @@ from typer.testing import CliRunner
 
 import difffric as df
 from difffric.commands.main import app
-from difffric.diagnosis.alternatives import alternatives
-from difffric.diagnosis.exploration import Candidate
+from difffric.diagnosis.alternatives import find_alternatives
+from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.misfit import PHASES
-from difffric.diagnosis.shape_scan import within_the_way
+from difffric.diagnosis.shape_scan import is_within_travel
 from difffric.rig.setup import Setup
 from difffric.rig.setup_toml import read_setup
 from tests.browser import WIDTHS, browser, faults, needs_chromium
@@ -64,7 +64,7 @@ class Analysis:
 
 def where_the_misfit_sits(found):
     """Over whatever it is told, it is the whole misfit, and no phase but one that a push has."""
-    before, after = found.work[3:]
+    before, after = found.state.lack_before, found.state.lack_after
     channels = {"force": 0, "position": 1}
     for one in found.misfit:
         k = channels[one.channel]
@@ -119,12 +119,13 @@ def test_inseparable_effects_are_one_set(tmp_path):
     assert one.found.verdict == "ambiguous"
     assert {"tilt", "friction_ratio"} <= one.first
     assert one.found.experiments[0].separates[0] == one.found.causes[0].id
-    data, plain, base, *_ = one.found.work
+    state = one.found.state
     first = one.found.causes[0]
-    cause = Candidate(first.id, base, first.chi2_drop, 0.0, first.p_value, first.chi2_drop)
+    drop, p_value = first.chi2_drop, first.p_value
+    cause = CandidateCause(first.id, state.extended, drop, 0.0, p_value, drop)
     others = ["tilt", "friction_ratio", "probe_scale", "force_offset"]
     others.remove(first.id)
-    found = alternatives(data.task, plain, base, cause, others)
+    found = find_alternatives(state.data.task, state.plain, state.extended, cause, others)
     assert {c.effect for c in found} == {"tilt", "friction_ratio"} - {first.id}
     assert all(c.drop == pytest.approx(cause.drop, abs=6) for c in found)
 
@@ -132,7 +133,7 @@ def test_inseparable_effects_are_one_set(tmp_path):
 def test_a_wave_longer_than_two_ways_is_none(tmp_path):
     write(random_case(2, kind="table"), tmp_path)
     found = df.diagnose(read_setup(tmp_path / "setup.toml"), df.load(tmp_path / "pushes.csv"))
-    data, plain, *_ = found.work
+    data, plain = found.state.data, found.state.plain
     coordinates = data.task.model.coordinates
     names = [f"friction_waviness.{key}" for key in ("amplitude", "wavelength_m", "phase_rad")]
     for ways in (1.9, 2.1):
@@ -141,9 +142,9 @@ def test_a_wave_longer_than_two_ways_is_none(tmp_path):
         c[coordinates.indices(names)] = coordinates.point(
             dict(zip(names, (0.1, length, 0.5), strict=True))
         )
-        there = within_the_way(data.task, c, "friction_waviness", data.scales)
+        there = is_within_travel(data.task, c, "friction_waviness", data.scales)
         assert there == (ways < 2)
-        assert within_the_way(data.task, c, "friction_patch", data.scales)
+        assert is_within_travel(data.task, c, "friction_patch", data.scales)
 
 
 def test_what_the_catalogue_lacks_is_located(tmp_path):

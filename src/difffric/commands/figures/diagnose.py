@@ -17,18 +17,18 @@ _BEFORE, _AFTER = "#c0392b", "#2c6fbb"
 
 def misfit(found: Diagnosis) -> Figure:
     """Chi-square per number of each push, force and position, before and after."""
-    data, _, _, before, after = found.work
+    data = found.state.data
     counts = np.maximum(data.task.counts, 1)
     v = to_mm_min(np.asarray(data.measured.velocity))
     order = np.argsort(v, kind="stable")
     x = np.arange(len(v))
     with matplotlib.rc_context(STYLE):
         figure, axes = new_figure(2, 9.6, 3.8, sharey=True)
-        names = ("force", "position" if data.task.model.recordings else "sliding distance")
+        names = ("force", "position" if found.used_recordings else "sliding distance")
         for k, (ax, name) in enumerate(zip(axes, names, strict=True)):
             for chi2, colour, label, shift in (
-                (before.chi2, _BEFORE, "plain model", -0.15),
-                (after.chi2, _AFTER, "with its causes", 0.15),
+                (found.state.lack_before.chi2, _BEFORE, "plain model", -0.15),
+                (found.state.lack_after.chi2, _AFTER, "with its causes", 0.15),
             ):
                 if label != "plain model" and not found.causes:
                     continue
@@ -90,23 +90,22 @@ def _one(ax, one: Misfit, causes: bool) -> None:
 
 def residuals(found: Diagnosis, shown: int = 3) -> Figure:
     """Whitened residuals over time of the pushes that fit worst, before and after."""
-    data, plain, extended, before, _ = found.work
-    task = data.task
-    worst = np.argsort(-before.chi2.sum(axis=1) / task.counts.sum(axis=1))[:shown]
+    state, task = found.state, found.state.data.task
+    worst = np.argsort(-state.lack_before.chi2.sum(axis=1) / task.counts.sum(axis=1))[:shown]
     with matplotlib.rc_context(STYLE):
         figure, axes = new_figure(len(worst), 3.4 * len(worst), 4.6, rows=2, squeeze=False)
         for column, i in enumerate(worst):
             for k, blocks in enumerate(task.model.pushes.data):
                 ax, there = axes[k, column], blocks.a[i] > 0
                 t = 0.5e3 * (blocks.t[i][blocks.first[i]] + blocks.t[i][blocks.second[i]])[there]
-                for fits, colour, width in ((plain, _BEFORE, 0.9), (extended, _AFTER, 0.9)):
-                    if fits is extended and not found.causes:
+                for fits, colour in ((state.plain, _BEFORE), (state.extended, _AFTER)):
+                    if fits is state.extended and not found.causes:
                         continue
-                    ax.plot(t, fits.residual[0, i, k][there], color=colour, lw=width, alpha=0.8)
+                    ax.plot(t, fits.residual[0, i, k][there], color=colour, lw=0.9, alpha=0.8)
                 ax.axhline(0.0, color="0.5", lw=0.8)
                 ax.set_xlim(t[0], t[-1])
                 if k == 0:
-                    ax.set_title(f"{to_mm_min(float(data.measured.velocity[i])):.0f} mm/min")
+                    ax.set_title(f"{to_mm_min(float(state.data.measured.velocity[i])):.0f} mm/min")
                 else:
                     ax.set_xlabel("time [ms]")
         axes[0, 0].set_ylabel("force residual\n[standard deviations]")

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
-
 from difffric.commands.reports.page import Picture, Report, Section, Table
-from difffric.diagnosis.misfit import told
+from difffric.diagnosis.misfit import describe_misfits
 from difffric.diagnosis.verdict import ADEQUATE, AMBIGUOUS, NAMED, Cause, Diagnosis
 from difffric.number_text import format_number
-from difffric.rig.setup_toml import write_setup
+from difffric.rig.setup_toml import format_setup
 from difffric.units import to_mm, to_mm_min, to_um
 
 _VERDICTS = {
@@ -22,10 +19,7 @@ _UNEXPLAINED = "The misfit is real, and no effect of the catalogue explains it."
 
 def setup_file_of(found: Diagnosis) -> bytes:
     """The extended set-up as its file holds it."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "setup.toml"
-        write_setup(found.setup, path)
-        return path.read_bytes()
+    return format_setup(found.setup).encode()
 
 
 def _sizes(cause: Cause) -> str:
@@ -140,7 +134,7 @@ def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
     if pictures:
         from difffric.commands.figures import diagnose
 
-        recordings = found.work[0].task.model.recordings
+        recordings = found.used_recordings
         drawn = []
         if recordings:
             drawn.append(
@@ -170,7 +164,7 @@ def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
                     diagnose.location(found.location),
                 )
             )  # fmt: skip
-        words = told(found.misfit)
+        words = describe_misfits(found.misfit)
         sections.append(
             Section("Where the misfit sits", (words,) if words else (), pictures=tuple(drawn))
         )

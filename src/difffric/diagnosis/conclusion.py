@@ -1,0 +1,282 @@
+"""What a diagnosis concludes from what its search found: the verdict, and what would tell more."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from threading import Thread
+
+import numpy as np
+
+from difffric.calibration.result import Fit
+from difffric.diagnosis.cross_validation import CrossValidation
+from difffric.diagnosis.data import DiagnosisData
+from difffric.diagnosis.exploration import CandidateCause
+from difffric.diagnosis.extended_setup import extend_rig, extend_setup, strip_effects
+from difffric.diagnosis.impossible_measurements import Certificate
+from difffric.diagnosis.lack_of_fit import LackOfFit, measure_lack_of_fit
+from difffric.diagnosis.location import Location, locate
+from difffric.diagnosis.misfit import measure_misfits
+from difffric.diagnosis.next_experiment import Experiment, Pair, plan_experiments
+from difffric.diagnosis.score_test import Score
+from difffric.diagnosis.verdict import (
+    ADEQUATE,
+    AMBIGUOUS,
+    NAMED,
+    UNEXPLAINED,
+    Cause,
+    Diagnosis,
+    DiagnosisState,
+    HeldOutGain,
+    describe_cause,
+)
+from difffric.estimation import ensemble as en
+from difffric.estimation import ensemble_refits
+from difffric.estimation.ensemble import Fits
+from difffric.estimation.extended_model import SLIDES
+from difffric.progress import Tell
+from difffric.rig.catalogue import KEYS, RATIO, numbers_of
+from difffric.rig.setup import Setup
+
+SIGNIFICANT = 1e-3
+"""An effect is named where chance gives as much with less than this probability."""
+LEFT = 0.3
+"""Share of the systematic error that, left over, makes the misfit unexplained."""
+ALIKE = 2 * np.log(20.0)
+"""Drops of -2 log likelihood within this of each other do not tell two effects apart: odds of 20
+to 1."""
+_STANDS_OUT = 4.0
+"""Standard deviations of chi-square."""
+_VISIBLE = 3.0
+"""Standard deviations at its typical size from which an effect can be seen."""
+_SAME = 0.01
+"""Relative difference of the mean mu_s up to which two plain fits are the same."""
+_HIDING = 6
+"""Steps in which the plain model takes up what an invisible effect does."""
+_TYPICAL_RATIO = 0.8
+"""The mu_k / mu_s that stands for this effect's typical size, of which the catalogue has none."""
+
+
+@dataclass(frozen=True)
+class NamedCause:
+    """A cause that the search found, and what it was compared with."""
+
+    best: CandidateCause
+    others: tuple[CandidateCause, ...]
+
+    @property
+    def alike(self) -> tuple[str, ...]:
+        """The effects that explain nearly as much, with which the cause is confused."""
+        limit = self.best.penalised_drop
+        others = (c for c in self.others if c is not self.best)
+        return tuple(c.effect for c in others if limit - c.penalised_drop < ALIKE)
+
+    @property
+    def probability(self) -> float:
+        """Of the cause among all that were compared, one of them being there."""
+        most = self.best.penalised_drop
+        weights = [np.exp(0.5 * (c.penalised_drop - most)) for c in self.others]
+        total = sum(weights) + np.exp(-0.5 * most)
+        return float(1.0 / max(total, 1.0))
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What the search found."""
+
+    setup: Setup
+    """as it was given, with the effects that it has"""
+    data: DiagnosisData
+    fit: Fit
+    """of the plain set-up, as `calibration` has it"""
+    validation: CrossValidation
+    plain: Fits
+    """the best plain model, an ensemble of one"""
+    extended: Fits
+    """the same with the causes"""
+    lack: LackOfFit
+    """of the plain model"""
+    causes: tuple[NamedCause, ...]
+    negligible: tuple[CandidateCause, ...]
+    """significant, and too small to matter"""
+    considered: tuple[CandidateCause, ...]
+    """the first round's leaders"""
+    scores: Mapping[str, Score]
+    """the first round's score tests"""
+    certificates: tuple[Certificate, ...]
+    total: float | None
+    """what there was to explain in -2 log likelihood; None: nothing was found"""
+    notes: tuple[str, ...]
+    compiling: Thread | None
+    """compiles the program of free forms, where they may be needed"""
+
+    @property
+    def scale(self) -> float:
+        """What there was to explain in -2 log likelihood, or what would be noise."""
+        return self.total or max(self.lack.excess, 1.0)
+
+    @cached_property
+    def plain_surprise(self) -> float:
+        """-2 log likelihood of the held-out pushes without a cause."""
+        return self.validation.measure_surprise(self.plain)
+
+    def describe(
+        self, candidate: CandidateCause, alike: Sequence[str] = (), at: Fits | None = None
+    ) -> Cause:
+        """Describe a candidate by its numbers in the fit `at`, or in its own."""
+        gain = self.plain_surprise - self.validation.measure_surprise(candidate.fits)
+        score = self.scores.get(candidate.effect)
+        predicted = 0.0 if score is None else score.drop
+        fits = candidate.fits if at is None else at
+        return describe_cause(self.data.task, self.plain, fits, candidate, alike, predicted, gain)
+
+
+def conclude(found: Findings, negligible: float, tell: Tell) -> Diagnosis:
+    """Conclude a diagnosis.
+
+    `negligible` is the share of the plain model's systematic error below which nothing needs a
+    cause. Where the misfit stays unexplained the causes are dropped, and the plain model stands.
+    """
+    task, plain, extended, causes = found.data.task, found.plain, found.extended, found.causes
+    after = measure_lack_of_fit(task, extended)
+    gain, notes = _measure_gain(found)
+    location = _locate_unexplained(found, after, negligible, tell)
+    if location is not None:
+        causes, extended, gain = (), plain, replace(gain, after=gain.before)
+    verdict = _judge(causes, found.certificates, location)
+    unseen = _list_invisible(found, causes)
+    ambiguous = causes if verdict == AMBIGUOUS else ()
+    rig = extend_rig(strip_effects(found.setup)[0].rig, task, extended)
+    return Diagnosis(
+        verdict=verdict,
+        p_value=found.lack.p_value,
+        causes=_describe_causes(found, causes, extended),
+        considered=tuple(found.describe(c) for c in found.considered),
+        certificates=found.certificates,
+        negligible=tuple(found.describe(c) for c in found.negligible),
+        location=location,
+        gain=gain,
+        not_visible=unseen,
+        experiments=_plan_experiments(found, extended, ambiguous, unseen, tell),
+        impossible=found.data.impossible,
+        plain=found.fit,
+        rig=rig,
+        setup=extend_setup(found.setup, rig, task, extended),
+        mu_s=tuple(np.exp(extended.mu[0, task.condition] + extended.own[0]).tolist()),
+        notes=(*_note_plain_fit(found), *found.notes, *notes),
+        misfit=measure_misfits(found.data, plain, extended),
+        state=DiagnosisState(found.data, plain, extended, found.lack, after),
+    )
+
+
+def _judge(
+    causes: Sequence[NamedCause], certificates: Sequence[Certificate], location: Location | None
+) -> str:
+    """Choose the verdict."""
+    if location is not None:
+        return UNEXPLAINED
+    if not causes:
+        return UNEXPLAINED if certificates else ADEQUATE
+    weak = any(one.best.p_value > SIGNIFICANT for one in causes)
+    return AMBIGUOUS if weak or any(one.alike for one in causes) else NAMED
+
+
+def _measure_gain(found: Findings) -> tuple[HeldOutGain, tuple[str, ...]]:
+    """Measure the errors on held-out pushes, and note where they are without meaning."""
+    validation, task = found.validation, found.data.task
+    held = [
+        validation.measure_squares(fits, found.extended.spread, found.plain.scatter)
+        for fits in (found.plain, found.extended)
+    ]
+    numbers = task.counts.sum()
+    spent = 0 if validation.single else task.n * (task.mu_free + task.model.recordings)
+    floor = float(np.sqrt(max(numbers - spent, 1) / numbers))
+    before, after = (float(np.sqrt(h.sum() / numbers)) for h in held)
+    notes = ()
+    if np.max(held) >= en.REJECTED:
+        notes = ("a held-out push could not be followed: its error is without meaning",)
+    return HeldOutGain(before, after, floor), notes
+
+
+def _locate_unexplained(
+    found: Findings, after: LackOfFit, negligible: float, tell: Tell
+) -> Location | None:
+    """Locate the misfit if the causes do not explain it: too much is left of it, or one component
+    that may bend freely explains it better than all of them."""
+    task, plain, extended = found.data.task, found.plain, found.extended
+    # As a share of the misfit only where it stands out of chi-square's own scatter.
+    misfit = after.p_value is not None and after.p_value < SIGNIFICANT
+    misfit &= after.excess > _STANDS_OUT * np.sqrt(2 * after.expected)
+    left = np.sqrt(max(after.excess, 0.0) / found.scale) if misfit else 0.0
+    if left < negligible and len(found.causes) < 2:
+        return None
+    tell("looking for the component", 0.92)
+    if found.compiling is not None:
+        found.compiling.join()
+    location = locate(task, plain, found.data.scales, found.lack.excess)
+    drop = float(en.criterion(task, plain)[0] - en.criterion(task, extended)[0])
+    numbers = len(extended.extra[0]) - len(plain.extra[0])
+    if left > LEFT or location.penalised_drop > drop - numbers * task.price:
+        return location
+    return None
+
+
+def _describe_causes(
+    found: Findings, causes: Iterable[NamedCause], extended: Fits
+) -> tuple[Cause, ...]:
+    """Describe the causes by their numbers in the final fit."""
+    described = [
+        replace(found.describe(one.best, one.alike, extended), probability=one.probability)
+        for one in causes
+    ]
+    # Every rig has many small imperfections, which good sensors see: first what counts.
+    return tuple(sorted(described, key=lambda cause: -cause.change))
+
+
+def _list_invisible(found: Findings, causes: Iterable[NamedCause]) -> tuple[str, ...]:
+    """List the effects that these data cannot show, or not at their typical sizes."""
+    seen = {one.best.effect for one in causes}
+    small = [e for e, s in found.scores.items() if s.visible < _VISIBLE and e not in seen]
+    return (*found.data.impossible, *small)
+
+
+def _plan_experiments(
+    found: Findings,
+    extended: Fits,
+    ambiguous: Sequence[NamedCause],
+    unseen: Sequence[str],
+    tell: Tell,
+) -> tuple[Experiment, ...]:
+    """Plan what would tell the first ambiguous cause from those that look like it, and show what is
+    not visible at its typical size."""
+    task = found.data.task
+    if task.model.kind == SLIDES:
+        return ()
+    tell("looking for the next experiment", 0.96)
+    pairs = [
+        Pair((one.best.effect, other.effect), one.best.fits, other.fits)
+        for one in ambiguous[:1]
+        for other in one.others
+        if other.effect in one.alike
+    ]
+    coordinates = task.model.coordinates
+    for effect in [e for e in unseen if e not in found.data.impossible]:
+        c = extended.c.copy()
+        names = numbers_of(effect)
+        typical = {n: _TYPICAL_RATIO if effect == RATIO else KEYS[n][1].typical for n in names}
+        c[0, coordinates.indices(names)] = coordinates.point(typical)
+        # As large as is typical, and hidden in these data by what else is free.
+        there = replace(extended, c=c, gram=None, residual=None, damping=None)
+        hidden = ensemble_refits.refitted(task, there, _HIDING)
+        pairs.append(Pair((effect, "plain"), hidden, extended))
+    return plan_experiments(found.data, pairs)
+
+
+def _note_plain_fit(found: Findings) -> list[str]:
+    """List what the plain fit says of itself, where the search went on with that fit."""
+    task, plain = found.data.task, found.plain
+    away = plain.mu[0, task.condition] + plain.own[0] - np.log(found.fit.mu_s)
+    if abs(np.mean(away)) < _SAME:
+        return [f"the plain fit: {x}" for x in found.fit.notes]
+    return ["the plain fit told here is better than where its single start led (`plain`)"]

@@ -1,0 +1,127 @@
+"""The score test of each effect at its null: what the effect would explain, told without a refit.
+
+An effect at its null is the plain model. The derivative of the answers by the effect's number,
+with all that is free already projected out, says to first order by how much -2 log likelihood
+would drop and at which size of the effect (Rao's score test). One evaluation serves many effects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from difffric.diagnosis.starting_values import SMOOTH_AT_NULL
+from difffric.estimation import ensemble as en
+from difffric.estimation.ensemble import Fits, Task
+from difffric.rig.catalogue import KEYS, numbers_of
+
+_TRIALS = 10
+"""How many independent looks a scan over a wavelength, a place or a speed is worth."""
+_LEAST_ROOM = 3
+"""Numbers that one evaluation has columns for at least: the most that any effect has."""
+_OFF_NULL = {name: 1e-6 for name, (_, key) in KEYS.items() if key.inverse}
+_OFF_NULL |= {"pusher_lag.tau_s": 5e-4}
+"""Coordinates near a null at which there is no derivative (of the inverse of an acceleration), or
+none that steps of finite length find (of a lag shorter than a step)."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """The score test of one effect at its null: no refit, linear in the effect."""
+
+    drop: float
+    """predicted drop of chi-square, the plain parameters and the scatter projected out"""
+    visible: float
+    """the square root of the drop that the effect would make at its typical size"""
+    at: float = 0.0
+    """the coordinate at which the drop is predicted; its standard error is 1 / `visible`"""
+
+
+def run_score_tests(task: Task, base: Fits, effects: Sequence[str]) -> dict[str, Score]:
+    """Test each effect that has a derivative at its null on top of `base` (an ensemble of one)."""
+    found: dict[str, Score] = {}
+    testable = [effect for effect in effects if effect in SMOOTH_AT_NULL]
+    for group in _split_into_groups(task, base, testable):
+        found |= _test_group(task, base, group)
+    return found
+
+
+def _split_into_groups(task: Task, base: Fits, effects: Sequence[str]) -> list[list[str]]:
+    """Split effects into groups whose numbers the compiled program has directions for."""
+    room = task.model.directions - 1 - len(task.shared) - len(base.extra[0])
+    room = max(room, _LEAST_ROOM)
+    groups: list[list[str]] = []
+    for effect in effects:
+        size = sum(len(numbers_of(x)) for x in groups[-1]) if groups else room
+        if size + len(numbers_of(effect)) > room:
+            groups.append([])
+        groups[-1].append(effect)
+    return groups
+
+
+def _test_group(task: Task, base: Fits, effects: Sequence[str]) -> dict[str, Score]:
+    """Test effects that share one evaluation of the answers and their derivatives."""
+    coordinates = task.model.coordinates
+    index = [coordinates.indices(numbers_of(effect)) for effect in effects]
+    extra = (*base.extra[0], *(i for one in index for i in one))
+    at = en.evaluated(task, step_off_null(task, replace(base, extra=(extra,))))
+    equations = en.normal(task, at)
+    H, g = equations.H[0], equations.g[0]
+    first = known = task.conditions + len(task.shared) + len(base.extra[0])
+    found: dict[str, Score] = {}
+    for effect, own in zip(effects, index, strict=True):
+        mine = np.arange(first, first + len(own))
+        first += len(own)
+        S, r = _project_out(H, g, np.arange(known), mine)
+        information = max(float(S[0, 0]), 0.0)
+        if information < 1e-6 * max(H[mine[0], mine[0]], 1e-12):
+            found[effect] = Score(0.0, 0.0)
+            continue
+        step = -np.linalg.solve(S, r)
+        drop = float(r @ -step)
+        if len(own) == 1:  # bounded at its null: what leads out of bounds explains nothing
+            low, high = coordinates.bounds(coordinates.names[own[0]])
+            drop *= low <= base.c[0, own[0]] + step[0] <= high
+        at_best = float(at.c[0, own[0]] + step[0])
+        found[effect] = Score(drop, float(np.sqrt(information)), at_best)
+    return found
+
+
+def _project_out(H: NDArray, g: NDArray, known: NDArray, mine: NDArray) -> tuple[NDArray, NDArray]:
+    """Return the information and the gradient of the columns `mine` of normal equations (H, g),
+    the columns `known` at their best for each value of these."""
+    A = H[np.ix_(known, known)]
+    scale = np.sqrt(np.maximum(np.diag(A), 1e-12))
+    solve = np.linalg.pinv(A / np.outer(scale, scale), rcond=1e-12)
+    X = H[np.ix_(known, mine)] / scale[:, None]
+    S = H[np.ix_(mine, mine)] - X.T @ solve @ X
+    r = g[mine] - X.T @ solve @ (g[known] / scale)
+    return S, r
+
+
+def step_off_null(task: Task, fits: Fits) -> Fits:
+    """Move free coordinates that have no derivative at their null to where they have one.
+
+    All `fits` have the same numbers free.
+    """
+    c = fits.c.copy()
+    for i in fits.extra[0]:
+        name = task.model.coordinates.names[i]
+        if name in _OFF_NULL:
+            c[:, i] = np.maximum(c[:, i], _OFF_NULL[name])
+    return replace(fits, c=c, gram=None, residual=None)
+
+
+def compute_p_value(effect: str, drop: float, effects: int) -> float:
+    """Return the probability of so large a drop of -2 log likelihood without any effect.
+
+    `effects` is the number of effects that were looked for: they, and the looks that a scan of
+    this one takes, are all counted (Bonferroni).
+    """
+    looks = 1 if effect in SMOOTH_AT_NULL else _TRIALS
+    tail = scipy.stats.chi2.sf(max(drop, 0.0), len(numbers_of(effect)))
+    return float(min(1.0, tail * looks * effects))
