@@ -13,8 +13,8 @@ from difffric.errors import InputError
 from difffric.estimation.coordinates import layout, slope
 from difffric.estimation.information import design_data, information, responses
 from difffric.estimation.mixed_fit import Model
-from difffric.estimation.mixed_model import inverse
 from difffric.estimation.open_parameters import undetermined, units
+from difffric.estimation.restricted_likelihood import invert_information
 from difffric.estimation.stacked_data import sensor_errors
 from difffric.measurements.pushes import Pushes
 from difffric.rig import parameters
@@ -107,7 +107,7 @@ def identifiable(
         notes.append(f"the set-up gives no scatter of mu_s: {100 * USUAL_SCATTER:g} % is assumed")
     if np.isnan(answers[:, 1]).any():
         notes.append(f"{int(np.isnan(answers[:, 1]).sum())} pushes give no sliding distance")
-    covariance = inverse(X)
+    covariance = invert_information(X)
     v = pushes.release_velocity if pushes.free_slides else pushes.velocity
     unit = units(base, arranged.names, float(np.max(v)))
     groups = undetermined(arranged.labels, arranged.names, covariance, unit)

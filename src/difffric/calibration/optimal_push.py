@@ -172,7 +172,7 @@ def next_push(
         raise InputError(f"next_push: none of {len(v)} candidates can be used: {'; '.join(notes)}")
     if data.kind == TABLE and model.rig.pusher.stroke is None:
         notes.append("no stroke is given: the pusher is taken to stop at the first loss of contact")
-    now = linear_at(model, data, at).criterion(at.scatter, at.spreads)[1][np.ix_(keep, keep)]
+    now = linear_at(model, data, at).evaluate(at.scatter, at.spreads)[1][np.ix_(keep, keep)]
     unit = open_units(fit.rig, [fit.names[j] for j in keep], float(v_data.max()))
     now = now + np.diag(_VAGUE / unit**2)
     v, m, added, answers = v[good], m[good], added[good], answers[good]

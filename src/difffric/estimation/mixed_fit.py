@@ -16,15 +16,17 @@ from difffric.estimation.coordinates import NOTHING, START, Layout, to_value
 from difffric.estimation.mixed_model import (
     MAX_STEPS,
     PADDING,
-    Components,
     End,
-    Point,
+    FitPoint,
     Problem,
-    components,
-    covariance_and_step,
-    linear_model,
     minimise,
     minimise_soon,
+)
+from difffric.estimation.restricted_likelihood import (
+    Components,
+    estimate_shared,
+    estimate_variances,
+    linearise,
 )
 from difffric.estimation.stacked_data import RECORDINGS, FitData, padded
 from difffric.rig.parameters import PARAMETERS
@@ -149,7 +151,9 @@ def descent_to_compile(model: Model, data: FitData, at: Settled):
     return minimise.lower(*_descent(model, data, at, at.held, data.weights, scatter, 1.0, 0))
 
 
-def _descent(model, data, at, held, weights, scatter, trust, steps) -> tuple[Problem, Point, Any]:
+def _descent(
+    model, data, at, held, weights, scatter, trust, steps
+) -> tuple[Problem, FitPoint, Any]:
     """What `minimise` takes."""
     problem = problem_of(model, data, held, at.theta, scatter, weights, trust)
     theta = np.zeros(problem.prior.shape[0])
@@ -158,7 +162,7 @@ def _descent(model, data, at, held, weights, scatter, trust, steps) -> tuple[Pro
     eta[: data.n] = at.s_eta / scatter if scatter > 0 else 0.0
     start = np.zeros(problem.starts.shape[0])
     start[: data.n] = at.start
-    point = Point(jnp.asarray(theta), jnp.asarray(eta), jnp.asarray(start))
+    point = FitPoint(jnp.asarray(theta), jnp.asarray(eta), jnp.asarray(start))
     return problem, point, jnp.asarray(steps)
 
 
@@ -186,7 +190,7 @@ def linear_at(model: Model, data: FitData, at: Settled, factor: NDArray | float 
     prior[:-1, :-1] = np.diag(weight**2)
     prior[:-1, -1] = prior[-1, :-1] = weight * away
     prior[-1, -1] = away @ away
-    return linear_model(
+    return linearise(
         np.asarray(at.end.rows)[:n],
         data.weights * factor,
         data.group,
@@ -219,7 +223,7 @@ def settle(model: Model, data: FitData, at: Settled, *, trust=30.0, rounds=ROUND
             at = replace(at, theta=_clipped(model, at.theta, stuck), held=held | stuck)
             held = at.held
             continue
-        found = components(
+        found = estimate_variances(
             linear_at(model, data, at, robust), scatter, at.spreads, model.estimate_scatter, first
         )
         before, first = (scatter, at.spreads), False
@@ -245,7 +249,7 @@ def settle(model: Model, data: FitData, at: Settled, *, trust=30.0, rounds=ROUND
     if at.components is None:  # every round ended at another bound
         at = replace(
             at,
-            components=components(
+            components=estimate_variances(
                 linear_at(model, data, at), at.scatter, at.spreads, model.estimate_scatter
             ),
         )
@@ -274,7 +278,7 @@ def full_covariance(model: Model, data: FitData, at: Settled) -> NDArray:
 def _unheld(model: Model, data: FitData, at: Settled, factor) -> tuple[NDArray, NDArray]:
     """Covariance (P, P) and generalised least-squares step (P,)."""
     linear = linear_at(model, data, replace(at, held=at.held & (at.theta <= NOTHING)), factor)
-    return covariance_and_step(linear, at.scatter, at.spreads, model.estimate_scatter)
+    return estimate_shared(linear, at.scatter, at.spreads, model.estimate_scatter)
 
 
 def around(at: Settled) -> list[NDArray]:

@@ -15,8 +15,8 @@ import pytest
 import difffric as df
 from difffric.compute import pytrees
 from difffric.compute.levenberg_marquardt import ArrowSolver
-from difffric.estimation import coordinates, mixed_model
-from difffric.estimation.mixed_model import Point
+from difffric.estimation import coordinates, restricted_likelihood
+from difffric.estimation.mixed_model import FitPoint
 from difffric.estimation.residuals import Grid, TracePush
 from difffric.estimation.stacked_data import table_data
 from difffric.identification.free_slide import slide_friction
@@ -279,11 +279,11 @@ def test_the_criterion_is_the_restricted_likelihood_of_the_dense_model():
     selection[:, 0, 0] = selection[:, 2, 1] = 1.0
     r, s_eta, group = rng.normal(size=(n, 2)), rng.normal(size=n), np.tile([0, -1], (n, 1))
     rows, weights = np.concatenate([J, r[..., None]], axis=2), np.tile([1.0, 2.0], (n, 1))
-    linear = mixed_model.linear_model(
+    linear = restricted_likelihood.linearise(
         rows, weights, group, [n], [1e-6], selection, np.zeros((3, 3)), s_eta, False
     )
     s, spread = 0.3, 0.7
-    found, X, Xr, rr = linear.criterion(s, np.array([spread]))
+    found, X, Xr, rr = linear.evaluate(s, np.array([spread]))
     sd = np.tile([spread, 0.5], n)
     Z = np.zeros((2 * n, n))
     for i in range(n):
@@ -320,7 +320,7 @@ def test_the_arrow_is_solved_as_the_dense_matrix(starts):
         damped = jax.tree.map(lambda part: 0.1 * part, x)
         return (rows, x.eta, 2.0 * x.theta), damped
 
-    x = Point(jnp.zeros(P), jnp.zeros(n), jnp.zeros(starts))
+    x = FitPoint(jnp.zeros(P), jnp.zeros(n), jnp.zeros(starts))
     operator = lx.FunctionLinearOperator(apply, jax.eval_shape(lambda: x))
     shape = jax.eval_shape(apply, x)
     b = jax.tree.map(lambda part: jnp.asarray(rng.normal(size=part.shape)), shape)
