@@ -13,6 +13,7 @@ from difffric.calibration.multistart import fit_from_starts, make_starts
 from difffric.calibration.recording_search import RecordingSearch
 from difffric.calibration.result import Fit, FitState
 from difffric.calibration.result_builder import build_fit
+from difffric.compute.precision import require_float64
 from difffric.errors import InputError
 from difffric.estimation.coordinates import layout
 from difffric.estimation.mixed_fit import Model
@@ -68,9 +69,10 @@ def fit(
         integrator: how the pushes are solved; by default as the rig's laws allow.
 
     Raises `InputError` for data that cannot be used (see `measurements.checks`), for fewer
-    measurements than free parameters and for parameters that are unknown or said by the data;
-    `NumericalError` where no start gives a finite misfit.
+    measurements than free parameters, for parameters that are unknown or said by the data and
+    where JAX computes in 32 bits; `NumericalError` where no start gives a finite misfit.
     """
+    require_float64()
     setup = rig if isinstance(rig, Setup) else Setup(rig)
     rig = check_rig(setup.rig)
     wishes = _Wishes(

@@ -1,8 +1,9 @@
 """How likely a table's pushes are at given parameters, each push's own mu_s integrated out.
 
-`mixed.components` integrates it out about the mode, with the model linear there; d jumps and bends
-where a regime ends, and a push may have several mu_s. Here the model's (F_p, d) is linear between
-the points of a grid, and the integral exact for that: what two optima are compared by.
+`restricted_likelihood.estimate_variances` integrates it out about the mode, with the model linear
+there. But d jumps and bends where a regime ends, and a push may have several mu_s. Here the model's
+(F_p, d) is linear between the points of a grid, and the integral is exact for that. Two optima of a
+search are compared by it.
 """
 
 from __future__ import annotations
@@ -13,11 +14,12 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from difffric.calibration.table_starts import BATCH, answers, residuals
+from difffric.calibration.batched_answers import BATCH, compute_answers, weigh_residuals
 from difffric.estimation.mixed_fit import Model, Settled
 from difffric.estimation.stacked_data import FitData
 
 _LEAST_SCATTER = 1e-6
+"""A scatter of zero is taken as this small, as the grid has to have a width."""
 _WIDE = 6.0
 """The grid reaches this many scatters to either side of the shared mu_s,"""
 _FINE = 4.2
@@ -36,8 +38,10 @@ def minus_2_log_likelihood(model: Model, data: FitData, at: Settled) -> float:
     wide = np.tile(scatter * np.linspace(-_WIDE, _WIDE, half)[:, None], (1, n))
     near = at.s_eta + own * np.sinh(np.linspace(-_FINE, _FINE, half))[:, None]
     grid = np.sort(np.concatenate([wide, near]), axis=0)
-    found = answers(model, data, np.tile(at.theta, (BATCH, 1)), grid)
-    r = np.concatenate([residuals(data, at.weights, found), (grid / scatter)[..., None]], axis=2)
+    answers = compute_answers(model, data, np.tile(at.theta, (BATCH, 1)), grid)
+    r = np.concatenate(
+        [weigh_residuals(data, at.weights, answers), (grid / scatter)[..., None]], axis=2
+    )
     away = (at.theta - model.layout.start) / model.layout.prior_sd
     return float(
         -2 * _log_integral(grid / scatter, r).sum()

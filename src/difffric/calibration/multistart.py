@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.calibration.marginal_likelihood import minus_2_log_likelihood
-from difffric.calibration.restarts import starts_elsewhere
+from difffric.calibration.mu_s_branches import find_branches, settle_on_best_branches
+from difffric.calibration.other_basins import find_other_basins
 from difffric.calibration.result import FitState
-from difffric.calibration.table_starts import other_branches, ranked_starts
+from difffric.calibration.table_starts import rank_starts
 from difffric.errors import NumericalError
 from difffric.estimation.coordinates import Layout
 from difffric.estimation.mixed_fit import (
-    ARRIVED,
     Model,
     Settled,
     descend,
@@ -32,23 +32,32 @@ Ends = list[tuple[float, Settled, int]]
 """Different ends of a search, the best first: chi-square, point, how many starts lead there."""
 
 REFINED = 3
-"""How many different ends of the first search are followed to the end."""
+"""How many different ends of the rough search are followed to the end."""
 ALIKE = 1e-2
-"""Ends whose chi-squares differ by less than this are one."""
+"""Ends whose chi-squares differ by less than this are one: it moves no parameter by a tenth of
+its standard error."""
 _DESCENTS = 9
-"""Starts from which a first search descends."""
-_FIRST_STEPS = 25
+"""Starts of a table from which the rough search descends: the best of some hundreds."""
+_ROUGH_STEPS = 25
+"""Steps of a rough descent: it has to tell valleys apart, not to arrive."""
+_ROUGH_SCATTER = 0.05
+"""The scatter that a rough descent assumes at least, so that a push beyond a jump gives way."""
 _WORTH = 5.0
 """Ends whose chi-square is this many times the best one's are not followed."""
-_BRANCHINGS = 3
-_LOOSE_SCATTER = 0.05
-_ROUNDS, _ELSEWHERE = 2, 4
-"""Rounds of a second search, and the starts of each; 2 where the first one is sure."""
+_ROUNDS, _MOST_BASINS, _FEWEST_BASINS = 2, 4, 2
+"""Rounds in which a table's fit is looked for in other basins, and how many of them are tried;
+the fewer where most starts agree already."""
 _POOR = 3.0
 """A fit whose chi-square is this many times the number of measurements may be no optimum."""
-_FRESH_SCATTER = 0.01
+_TRUST = 30.0
+"""How far a descent from a chosen point trusts its linear model at first: far."""
+_NEW_SCATTER = 0.01
+"""The scatter with which a fit in another basin starts: small, so that each push's own mu_s does
+not hide that the shared parameters fit badly."""
 _COOLER = 0.3
+"""By how much the scatter is reduced at once, to see whether a colder fit is the better one."""
 _LEAST_COOLED = 2e-3
+"""A scatter below this hides nothing."""
 
 
 def make_starts(layout: Layout, several: bool = True) -> list[NDArray]:
@@ -69,32 +78,35 @@ def make_starts(layout: Layout, several: bool = True) -> list[NDArray]:
     return [own, *(x for x in inside if not np.array_equal(x, own))]
 
 
-def first_search(model: Model, data: FitData, box: list[NDArray], tell: Tell) -> Ends:
-    """Where the starts lead with some per cent of tolerance."""
-    if len(box) > 1 and data.kind == TABLE:
+def search_roughly(model: Model, data: FitData, starts: list[NDArray], tell: Tell) -> Ends:
+    """Where the starts lead with some per cent of tolerance; of a table's, the promising ones."""
+    if len(starts) > 1 and data.kind == TABLE:
         tell("looking for starts", 0.0)
-        box = ranked_starts(model, data, box, _DESCENTS)
-    return descents(model, data, box, tell)
+        starts = rank_starts(model, data, starts, _DESCENTS)
+    return descend_from(model, data, starts, tell)
 
 
-def descents(model: Model, data: FitData, starts: list[NDArray], tell: Tell) -> Ends:
-    """Where descents from `starts` end. Raises `NumericalError` where none is finite."""
+def descend_from(model: Model, data: FitData, starts: list[NDArray], tell: Tell) -> Ends:
+    """Where rough descents from `starts` end. Raises `NumericalError` where none is finite."""
     layout = model.layout
     rough = replace(data, weights=data.rough, group=np.full(data.group.shape, -1))
-    scatter = max(model.scatter, _LOOSE_SCATTER) if model.estimate_scatter else model.scatter
+    scatter = max(model.scatter, _ROUGH_SCATTER) if model.estimate_scatter else model.scatter
     ends: list[tuple[float, Settled]] = []
     for i, theta in enumerate(starts):
         tell(f"start {i + 1} of {len(starts)}", 0.1 + 0.3 * i / len(starts))
         at = first_point(model, data, theta)
-        end = descend(model, rough, at, at.held, rough.weights, scatter, 1.0, _FIRST_STEPS)
+        end = descend(model, rough, at, at.held, rough.weights, scatter, 1.0, _ROUGH_STEPS)
         if np.isfinite(float(end.chi2)):
             at = moved(at, end, at.held, scatter)
-            ends.append(
-                (float(end.chi2), replace(at, theta=np.clip(at.theta, layout.lower, layout.upper)))
-            )
+            inside = np.clip(at.theta, layout.lower, layout.upper)
+            ends.append((float(end.chi2), replace(at, theta=inside)))
     if not ends:
         raise NumericalError("fit: no start gives a finite misfit")
-    ends.sort(key=lambda x: x[0])
+    return _join_alike(sorted(ends, key=lambda end: end[0]))
+
+
+def _join_alike(ends: list[tuple[float, Settled]]) -> Ends:
+    """The different ones among ends (chi-square, point), which are sorted by chi-square."""
     distinct: Ends = []
     for chi2, at in ends:
         if distinct and chi2 - distinct[-1][0] < ALIKE * (1 + chi2):
@@ -105,13 +117,13 @@ def descents(model: Model, data: FitData, starts: list[NDArray], tell: Tell) -> 
 
 
 def fit_from_starts(
-    model: Model, data: FitData, box: list[NDArray], tell: Tell
+    model: Model, data: FitData, starts: list[NDArray], tell: Tell
 ) -> tuple[FitState, tuple[int, int]]:
     """The best of the fits settled from several starts, and how many of how many lead to it.
 
     Raises `NumericalError` where none is finite.
     """
-    distinct = first_search(model, data, box, tell)
+    distinct = search_roughly(model, data, starts, tell)
     contest = _Contest(model, data)
     worth = _WORTH * (distinct[0][0] + data.samples)
     for i, (chi2, at, count) in enumerate(distinct[:REFINED]):
@@ -123,18 +135,27 @@ def fit_from_starts(
     if not contest.fits:
         raise NumericalError("fit: the misfit is not finite wherever the search led")
     if data.kind == TABLE:
-        for i in range(_ROUNDS if len(box) > 1 else 0):
-            before, sure = contest.best, contest.sure
-            if sure and i:
-                break
-            tell("looking elsewhere", 0.7 + 0.1 * i)
-            for theta in starts_elsewhere(model, data, before, box, 2 if sure else _ELSEWHERE):
-                contest.enter(_fresh(model, data, theta))
-            if contest.best is before:
-                break
+        if len(starts) > 1:
+            _try_other_basins(contest, starts, tell)
         tell("cooling", 0.9)
-        contest.cool()
+        contest.try_smaller_scatter()
     return FitState(model, data, contest.best), (contest.reached, contest.tried)
+
+
+def _try_other_basins(contest: _Contest, starts: list[NDArray], tell: Tell) -> None:
+    """Enter fits from other basins, for as long as that brings a better one and in a second round
+    only where the best is not sure."""
+    model, data = contest.model, contest.data
+    for i in range(_ROUNDS):
+        before, sure = contest.best, contest.sure
+        if sure and i:
+            break
+        tell("looking elsewhere", 0.7 + 0.1 * i)
+        most = _FEWEST_BASINS if sure else _MOST_BASINS
+        for theta in find_other_basins(model, data, before, starts, most):
+            contest.enter(_start_on_best_branches(model, data, theta))
+        if contest.best is before:
+            break
 
 
 class _Contest:
@@ -161,68 +182,58 @@ class _Contest:
         return not poor and 2 * self.reached > self.tried
 
     def enter(self, start: Settled, count: int = 1) -> None:
-        """Settle from a start that stands for `count`."""
+        """Settle from a start that stands for `count`; one that leads nowhere counts as tried."""
         self.tried += count
         try:
-            self._add(self._settled(start), count)
+            done = self._settle(start)
+            cost = self._cost(done)
         except NumericalError:
             return
+        self.fits.append((cost, done, count))
+        self.fits.sort(key=lambda fit: fit[0])
 
-    def cool(self) -> None:
-        """Let the best compete with where a smaller scatter leads: too large a scatter, which
-        wrong branches bring about, makes them cheap."""
+    def try_smaller_scatter(self) -> None:
+        """Let the best compete with where a smaller scatter leads.
+
+        Too large a scatter, which wrong branches bring about, makes them cheap.
+        """
         model, data, at = self.model, self.data, self.best
         if not model.estimate_scatter or at.scatter < _LEAST_COOLED:
             return
         scatter = _COOLER * at.scatter
         at = replace(at, scatter=scatter)
         for _ in range(2):
-            end = descend(model, data, at, at.held, at.weights, scatter, 30.0)
+            end = descend(model, data, at, at.held, at.weights, scatter, _TRUST)
             at = moved(at, end, at.held, scatter)
-            at = unstuck(model, data, at, other_branches(model, data, at))
+            at = unstuck(model, data, at, find_branches(model, data, at))
         try:
-            cooled = self._settled(at)
+            cooled = self._settle(at)
         except NumericalError:
             return
         if self._cost(cooled) < self.fits[0][0] - ALIKE:
             # The starts that led to the best would have led here.
             self.fits = [(self._cost(cooled), cooled, self.reached), *self.fits]
 
-    def _settled(self, start: Settled) -> Settled:
+    def _settle(self, start: Settled) -> Settled:
         done = settle(self.model, self.data, start)
         if self.data.kind != TABLE:
             return done
-        return _on_the_best_branches(self.model, self.data, done)
+        return settle_on_best_branches(self.model, self.data, done)
 
     def _cost(self, done: Settled) -> float:
         if self.data.kind != TABLE:
             return done.components.criterion
         return minus_2_log_likelihood(self.model, self.data, done)
 
-    def _add(self, done: Settled, count: int) -> None:
-        self.fits.append((self._cost(done), done, count))
-        self.fits.sort(key=lambda x: x[0])
 
+def _start_on_best_branches(model: Model, data: FitData, theta: NDArray) -> Settled:
+    """A start at these shared parameters with each push's own mu_s on its best branch.
 
-def _fresh(model: Model, data: FitData, theta: NDArray) -> Settled:
-    """A start at these shared parameters with each push's own mu_s on its best branch: they are
-    better than the pushes' residuals make them look, and settling would leave them."""
-    scatter = _FRESH_SCATTER if model.estimate_scatter else model.scatter
+    They are better than the pushes' residuals make them look, and settling would leave them.
+    """
+    scatter = _NEW_SCATTER if model.estimate_scatter else model.scatter
     at = replace(first_point(model, data, theta), scatter=scatter)
     everything = np.ones_like(at.held)
-    end = descend(model, data, at, everything, at.weights, scatter, 30.0)
+    end = descend(model, data, at, everything, at.weights, scatter, _TRUST)
     at = replace(moved(at, end, everything, scatter), held=at.held)
-    return unstuck(model, data, at, other_branches(model, data, at))
-
-
-def _on_the_best_branches(model: Model, data: FitData, done: Settled) -> Settled:
-    """The fit once every push's own mu_s is on the branch that fits it best."""
-    for _ in range(_BRANCHINGS):
-        other = unstuck(model, data, done, other_branches(model, data, done))
-        if other is done:
-            break
-        again = settle(model, data, other)
-        if again.components.criterion > done.components.criterion - ARRIVED:
-            break
-        done = again
-    return done
+    return unstuck(model, data, at, find_branches(model, data, at))

@@ -9,9 +9,10 @@ from threading import Thread
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.calibration.multistart import ALIKE, REFINED, descents, first_search
+from difffric.calibration.mu_s_branches import find_branches
+from difffric.calibration.multistart import ALIKE, REFINED, descend_from, search_roughly
 from difffric.calibration.result import FitState
-from difffric.calibration.table_starts import fit_of_forces, other_branches
+from difffric.calibration.table_starts import fit_forces
 from difffric.errors import InputError, NumericalError
 from difffric.estimation import coordinates
 from difffric.estimation.mixed_fit import (
@@ -108,16 +109,16 @@ class RecordingSearch:
     def _forces_first(self) -> list[Settled | None]:
         """Where F_p alone and then d too lead."""
         model, data = self._loose_table()
-        found = fit_of_forces(model, data, self.box)
+        found = fit_forces(model, data, self.box)
         if found is None:
             return []
         starts = [found[0].theta, self.box[0]]
-        return [at for _, at, _ in descents(model, data, starts, self.tell)[:1]]
+        return [at for _, at, _ in descend_from(model, data, starts, self.tell)[:1]]
 
     def _tables_first(self) -> list[Settled | None]:
         """Where the whole search of a table leads."""
         model, data = self._loose_table()
-        return [at for _, at, _ in first_search(model, data, self.box, self.tell)[:REFINED]]
+        return [at for _, at, _ in search_roughly(model, data, self.box, self.tell)[:REFINED]]
 
     def _compile(self) -> Thread:
         """Have the program that fits the samples compiled, beside those that the searches need.
@@ -181,7 +182,7 @@ class RecordingSearch:
     def _branches(self, at: Settled) -> list[NDArray]:
         """Each push's log mu_s by which F_p and d are as they were measured."""
         model, data = self._loose_table()
-        return other_branches(model, data, replace(at, weights=data.rough))
+        return find_branches(model, data, replace(at, weights=data.rough))
 
 
 def _misfit(data: FitData, at: Settled) -> NDArray:

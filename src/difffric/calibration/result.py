@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy
@@ -60,7 +60,7 @@ class Fit:
     ahead: NDArray
     """(free,) how far beyond its bound the unbounded estimate of one that is held lies"""
     freedom: NDArray
-    """(free,) degrees of freedom of the t-distribution of each: `mixed.components`"""
+    """(free,) degrees of freedom of the t-distribution of each: `restricted_likelihood`"""
     scatter: float
     """relative standard deviation of mu_s from push to push"""
     scatter_se: float
@@ -230,7 +230,7 @@ class Fit:
         scatter = old.mu_s_scatter
         if np.isfinite(self.scatter_se) or (self.scatter == 0 and scatter is not None):
             scatter = self.scatter
-        return Setup(self.rig, scatter, extras)
+        return replace(old, rig=self.rig, mu_s_scatter=scatter, extras=extras)
 
     def as_dict(self) -> dict:
         """The calibration as `result.json` holds it."""

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import jax
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from difffric.compute.xla_options import soon_compiled
+from difffric.calibration.batched_answers import BATCH, compute_answers, stack_measured
+from difffric.calibration.free_parameters import USUAL_SCATTER
 from difffric.estimation.coordinates import to_coordinate
 from difffric.estimation.mixed_fit import (
     Model,
@@ -22,18 +22,13 @@ from difffric.estimation.mixed_fit import (
     first_point,
     linear_at,
     moved,
-    problem_of,
 )
-from difffric.estimation.mixed_model import Problem
 from difffric.estimation.stacked_data import FitData
 from difffric.rig import parameters
 from difffric.units import GRAVITY
 
-BATCH = 256
-"""Points whose answers are computed by one call."""
 _POOL = 3 * BATCH
 """Points that are ranked; whole batches, so that one compiled program serves."""
-_SCATTER = 0.03
 _FORCE_ONLY = 0.003
 """How far the model's F_p may be off, as a share, while it leads alone."""
 _WIDER = 2.0
@@ -42,102 +37,58 @@ _WEAK = 1.5
 """Standard deviation of the logarithms where F_p says nothing."""
 _LOOSE = np.array([0.03, 0.15])
 """Relative errors of F_p and d at which the rank's cost begins to flatten."""
-_NOWHERE = 1e9
-"""The residual of an answer that does not exist."""
+_NO_ANSWER = 1e9
+"""The residual of an F_p that does not exist."""
+_LEAST_DISTANCE = 1e-9
+"""A distance [m] that stands for none, so that it has a logarithm."""
 _VISCOUS = 0.3
 """The largest share of viscosity in the friction at the fastest push that is looked for."""
 
 
-@soon_compiled
-def _model(problem: Problem, thetas, s_etas):
-    """(n, batch, 2): F_p and d at shared coordinates (batch, P) and own log mu_s (n, batch).
-
-    One push after the other: a batch goes on for as long as its longest push, and the same push
-    lasts about as long at all points.
-    """
-
-    def of_push(given):
-        push, selection, fixed, own = given
-
-        def at(theta, s_eta):
-            c = (fixed + selection @ theta).at[0].add(s_eta)
-            return push.respond(problem.rig, problem.integrator, c).model
-
-        return jax.vmap(at)(thetas, own)
-
-    return jax.lax.map(of_push, (problem.pushes, problem.selection, problem.fixed, s_etas))
-
-
-def answers(model: Model, data: FitData, thetas: NDArray, s_etas: NDArray) -> NDArray:
-    """The model's (F_p, d), (batch, n, 2), a batch of `BATCH` at a time."""
-    nothing = np.zeros(model.layout.n_free)
-    problem = problem_of(model, data, nothing > 0, nothing, 1.0, data.weights, 1.0)
-    size, whole = problem.prior.shape[0], problem.weights.shape[0]
-    out = []
-    for lo in range(0, len(thetas), BATCH):
-        theta, s_eta = np.zeros((BATCH, size)), np.zeros((whole, BATCH))
-        part = thetas[lo : lo + BATCH]
-        theta[: len(part), : part.shape[1]] = part
-        s_eta[: data.n, : len(part)] = s_etas[lo : lo + BATCH].T
-        out.append(np.asarray(_model(problem, theta, s_eta))[: data.n, : len(part)])
-    return np.concatenate(out, axis=1).swapaxes(0, 1)
-
-
-def measured(data: FitData) -> NDArray:
-    """(n, 2) the table's F_p and d, NaN where there is none."""
-    both = np.asarray(data.pushes.measured)[: data.n]
-    return both if both.shape[1] == 2 else np.column_stack([np.full(data.n, np.nan), both])
-
-
-def residuals(data: FitData, weights: NDArray, found: NDArray) -> NDArray:
-    """(batch, n, m) weighted residuals of answers (batch, n, 2); NaN where the model gives no
-    number for one that was measured."""
-    seen = measured(data)
-    if weights.shape[1] == 1:
-        seen, found = seen[:, 1:], found[..., 1:]
-    return np.where(weights > 0, weights * (seen - found), 0.0)
-
-
-def pool(model: Model, data: FitData, box: list[NDArray]) -> NDArray:
+def gather_starts(model: Model, data: FitData, box: list[NDArray]) -> NDArray:
     """(N, P) points from which a fit may start: those of `box`, and about the fit of F_p."""
     points = np.array(box)
-    if np.isfinite(measured(data)[:, 0]).sum() > model.layout.n_free:
-        points = np.concatenate([points, _about_the_forces(model, data, box)])
+    if np.isfinite(stack_measured(data)[:, 0]).sum() > model.layout.n_free:
+        points = np.concatenate([points, _scatter_about_forces(model, data, box)])
     return np.clip(points, model.layout.lower, model.layout.upper)
 
 
-def ranked_starts(model: Model, data: FitData, box: list[NDArray], most: int) -> list[NDArray]:
+def rank_starts(model: Model, data: FitData, box: list[NDArray], most: int) -> list[NDArray]:
     """At most `most` points to descend from, the most promising first; the first of `box`, the
     set-up itself, is always among them."""
-    points = pool(model, data, box)
-    cost = _cost(answers(model, data, points, np.zeros((len(points), data.n))), measured(data))
+    points = gather_starts(model, data, box)
+    answers = compute_answers(model, data, points, np.zeros((len(points), data.n)))
+    cost = _rank_answers(answers, stack_measured(data))
     chosen = [*np.argsort(cost, kind="stable")[: most - 1].tolist(), 0]
     return [points[i] for i in dict.fromkeys(chosen)]
 
 
-def _cost(model: NDArray, data: NDArray) -> NDArray:
-    """Sum of log(1 + r^2): what is far off costs hardly more than what is off."""
+def _rank_answers(answers: NDArray, measured: NDArray) -> NDArray:
+    """(batch,) the cost of answers (batch, n, 2) beside what was measured (n, 2).
+
+    It is the sum of log(1 + r^2): what is far off costs hardly more than what is off.
+    """
+    slid = np.maximum(np.nan_to_num(answers[..., 1]), _LEAST_DISTANCE)
     with np.errstate(invalid="ignore", divide="ignore"):
-        force = (model[..., 0] / data[:, 0] - 1) / _LOOSE[0]
-        d = np.log(np.maximum(np.nan_to_num(model[..., 1]), 1e-9) / data[:, 1]) / _LOOSE[1]
-    force = np.where(np.isnan(model[..., 0]), 1e9, force)
-    seen = np.isfinite(data)
-    return (np.log1p(force**2) * seen[:, 0] + np.log1p(d**2) * seen[:, 1]) @ np.ones(len(data))
+        force = (answers[..., 0] / measured[:, 0] - 1) / _LOOSE[0]
+        d = np.log(slid / measured[:, 1]) / _LOOSE[1]
+    force = np.where(np.isnan(answers[..., 0]), _NO_ANSWER, force)
+    seen = np.isfinite(measured)
+    each = np.log1p(force**2) * seen[:, 0] + np.log1p(d**2) * seen[:, 1]
+    return each @ np.ones(len(measured))
 
 
-def fit_of_forces(
-    model: Model, data: FitData, box: list[NDArray]
-) -> tuple[Settled, NDArray] | None:
+def fit_forces(model: Model, data: FitData, box: list[NDArray]) -> tuple[Settled, NDArray] | None:
     """Where F_p alone leads, with k_v as it is, and which parameters that was without; None
     where the model gives no number."""
-    F = measured(data)[:, 0]
+    F = stack_measured(data)[:, 0]
     known = (data.group[:, 0] < 0) & (data.weights[:, 0] > 0)
     noise = np.where(known, 1.0 / np.where(known, data.weights[:, 0], 1.0), 0.01 * F)
     sd = np.hypot(_FORCE_ONLY * F, noise)
     weights = np.nan_to_num(np.column_stack([1.0 / sd, np.zeros(data.n)]))
     forces = replace(data, weights=weights, group=np.full(data.group.shape, -1))
     held = np.array([name == "k_v_N_s_per_m" for name in model.layout.names], bool)
-    scatter = _SCATTER if model.estimate_scatter else model.scatter
+    scatter = USUAL_SCATTER if model.estimate_scatter else model.scatter
     best, costs = None, []
     for theta in box:
         at = first_point(model, forces, theta)
@@ -152,10 +103,10 @@ def fit_of_forces(
     return None if best is None else (best, held)
 
 
-def _about_the_forces(model: Model, data: FitData, box: list[NDArray]) -> NDArray:
+def _scatter_about_forces(model: Model, data: FitData, box: list[NDArray]) -> NDArray:
     """Points from the neighbourhood of the fit of F_p alone."""
     layout = model.layout
-    found = fit_of_forces(model, data, box)
+    found = fit_forces(model, data, box)
     if found is None:
         return np.zeros((0, layout.n_free))
     best, held = found
@@ -165,7 +116,7 @@ def _about_the_forces(model: Model, data: FitData, box: list[NDArray]) -> NDArra
     )  # fmt: skip
     free = ~held
     linear = linear_at(model, forces, best)
-    X = linear.criterion(best.scatter, np.zeros(0))[1][np.ix_(free, free)]
+    X = linear.evaluate(best.scatter, np.zeros(0))[1][np.ix_(free, free)]
     X = X / _WIDER**2 + np.eye(int(free.sum())) / _WEAK**2
     spread = np.linalg.cholesky(np.linalg.inv(X))
     n = _POOL - len(box)
@@ -186,19 +137,3 @@ def _most_viscous(model: Model, data: FitData) -> float:
     sliding = values["mu_s"] * values["mu_k_over_mu_s"] * values["mass_kg"] * GRAVITY
     most = max(_VISCOUS * sliding / fastest, 2 * values["k_v_N_s_per_m"])
     return float(to_coordinate("k_v_N_s_per_m", most))
-
-
-def other_branches(model: Model, data: FitData, at: Settled) -> list[NDArray]:
-    """Where else each push's own log mu_s may lie: the two best minima of its cost on a fine
-    grid, each (n,), the shared parameters as they are."""
-    scatter = max(at.scatter, 1e-3)
-    width = max(0.15, 5 * scatter)
-    grid = np.linspace(-width, width, BATCH)
-    n = data.n
-    found = answers(model, data, np.tile(at.theta, (BATCH, 1)), np.tile(grid[:, None], (1, n)))
-    r = np.nan_to_num(residuals(data, at.weights, found), nan=_NOWHERE)
-    cost = np.sum(r**2, axis=2) + (grid[:, None] / scatter) ** 2
-    padded = np.pad(cost, ((1, 1), (0, 0)), constant_values=np.inf)
-    dip = (padded[1:-1] <= padded[:-2]) & (padded[1:-1] <= padded[2:])
-    order = np.argsort(np.where(dip, cost, np.inf), axis=0)
-    return [grid[order[k]] for k in range(3)]

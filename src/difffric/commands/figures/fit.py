@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from difffric.calibration.comparison import FittedPushes, FittedTrace, fitted_family
+from difffric.calibration.data_comparison import PushComparison, TraceComparison, simulate_condition
 from difffric.calibration.profiles import Profile
 from difffric.calibration.result import Fit
 from difffric.commands.figures.style import MARKERS, STYLE, colours_of, new_figure
@@ -36,7 +36,7 @@ def _groups(conditions: Sequence[str]) -> list[tuple[str, NDArray, str, str]]:
     ]
 
 
-def pushes(fit: Fit, beside: FittedPushes) -> Figure:
+def pushes(fit: Fit, beside: PushComparison) -> Figure:
     """F_p and d over speed, measured and fitted, and what is left over."""
     v = to_mm_min(beside.velocity)
     labels = ("peak push force $F_p$ [N]", "sliding distance d [µm]")
@@ -50,7 +50,7 @@ def pushes(fit: Fit, beside: FittedPushes) -> Figure:
             height_ratios=(3, 1.3),
         )  # fmt: skip
         for condition, mine, colour, marker in _groups(fit.conditions):
-            curves = fitted_family(fit, condition, speeds)
+            curves = simulate_condition(fit, condition, speeds)
             for ax, j in zip(axes[0], panels, strict=True):
                 name = condition or "measured"
                 ax.errorbar(
@@ -117,7 +117,7 @@ def _scatter_band(ax, x, mean, scatter, colour) -> None:
     )
 
 
-def traces(shown: Mapping[str, Mapping[str, FittedTrace]]) -> Figure:
+def traces(shown: Mapping[str, Mapping[str, TraceComparison]]) -> Figure:
     """Force and position over time, measured and fitted, with the whitened residuals below;
     a column a push."""
     kinds = [k for k in ("force", "position") if any(k in x for x in shown.values())]
@@ -142,7 +142,7 @@ def traces(shown: Mapping[str, Mapping[str, FittedTrace]]) -> Figure:
     return figure
 
 
-def _trace(top, bottom, trace: FittedTrace, scale: float, force: bool) -> None:
+def _trace(top, bottom, trace: TraceComparison, scale: float, force: bool) -> None:
     t, in_contact = 1e3 * trace.t, trace.t
     if force:  # from a little before the push to a little after the last contact
         touching = in_contact[trace.model > 0]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.calibration.comparison import (
-    FittedPushes,
-    fitted_pushes,
-    fitted_trace,
+from difffric.calibration.data_comparison import (
+    PushComparison,
+    compare_pushes,
+    compare_trace,
 )
 from difffric.calibration.optimal_push import NextPush, next_push
 from difffric.calibration.profiles import Profile
@@ -24,7 +23,7 @@ from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.errors import InputError
 from difffric.number_text import format_number, format_pair
 from difffric.progress import Tell, silent
-from difffric.rig.setup_toml import write_setup
+from difffric.rig.setup_toml import format_setup
 from difffric.units import to_mm_min, to_um
 
 SHOWN = 4
@@ -36,7 +35,7 @@ class Answer:
     """A calibration with what its report shows beside it."""
 
     fit: Fit
-    beside: FittedPushes
+    beside: PushComparison
     order: NDArray
     """(n,) place in the order of the pushes"""
     names: tuple[str, ...]
@@ -49,7 +48,7 @@ class Answer:
     @classmethod
     def of(cls, fit: Fit) -> Answer:
         """The fit beside the pushes that it was fitted to."""
-        return cls(fit, fitted_pushes(fit, fit.pushes), order_of(fit.pushes.order), fit.push_names)
+        return cls(fit, compare_pushes(fit, fit.pushes), order_of(fit.pushes.order), fit.push_names)
 
     def as_dict(self) -> dict:
         """As result.json holds it: what the fit gives, and more of each push."""
@@ -97,10 +96,7 @@ def order_of(order: NDArray) -> NDArray:
 
 def setup_file_of(fit: Fit) -> bytes:
     """The fitted set-up as its file holds it."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "setup.toml"
-        write_setup(fit.fitted_setup, path)
-        return path.read_bytes()
+    return format_setup(fit.fitted_setup).encode()
 
 
 def check_out(out: Path | None, setup: Path) -> None:
@@ -304,7 +300,7 @@ def _push_pictures(answer: Answer) -> list[Picture]:
         for i in _typical(answer.beside.velocity):
             v = to_mm_min(answer.beside.velocity[i])
             title = f"{answer.names[i] or f'push {i + 1}'}: {v:g} mm/min {fit.conditions[i]}"
-            shown[title.rstrip()] = fitted_trace(fit, i)
+            shown[title.rstrip()] = compare_trace(fit, i)
         caption = "Recorded and calibrated, with the whitened residuals below; shaded: ±2."
         found.append(Picture("traces", caption, figures_fit.traces(shown)))
     return found

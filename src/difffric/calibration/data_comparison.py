@@ -19,7 +19,7 @@ from difffric.simulation.trajectory import simulate
 
 
 @dataclass(frozen=True)
-class FittedPushes:
+class PushComparison:
     """F_p [N] (first row) and d [m] (second row) of n pushes, NaN: not there."""
 
     velocity: NDArray
@@ -36,7 +36,7 @@ class FittedPushes:
 
 
 @dataclass(frozen=True)
-class FittedTrace:
+class TraceComparison:
     """One channel of one push, as its fit took it: n samples or block means."""
 
     t: NDArray
@@ -49,7 +49,7 @@ class FittedTrace:
     """(n,) measured less model, whitened, in standard deviations of the noise; NaN: left out"""
 
 
-def fitted_pushes(fit: Fit, pushes: Pushes) -> FittedPushes:
+def compare_pushes(fit: Fit, pushes: Pushes) -> PushComparison:
     """The fit beside the F_p and d that were measured, of the same pushes in the same order."""
     data, at = fit.state.data, fit.state.at
     measured = np.stack([pushes.peak_force, pushes.sliding_distance])
@@ -57,7 +57,7 @@ def fitted_pushes(fit: Fit, pushes: Pushes) -> FittedPushes:
     own = np.stack([pushes.peak_force_se, pushes.sliding_distance_se])
     if data.kind == RECORDINGS:
         residual = (measured - fitted) / own
-        return FittedPushes(pushes.velocity, measured, own, fitted, residual)
+        return PushComparison(pushes.velocity, measured, own, fitted, residual)
     there = data.weights > 0
     known = np.where(there, 1.0 / np.where(there, data.weights, 1.0), np.nan)
     sd = known * np.append(at.spreads, 1.0)[data.group]  # group -1 is the last: known
@@ -69,7 +69,7 @@ def fitted_pushes(fit: Fit, pushes: Pushes) -> FittedPushes:
         residual = np.concatenate([np.full_like(residual, np.nan), residual])
         sd = np.column_stack([np.full(len(sd), np.nan), sd])
     velocity = pushes.release_velocity if data.kind == SLIDES else pushes.velocity
-    return FittedPushes(velocity, measured, sd.T, fitted, residual)
+    return PushComparison(velocity, measured, sd.T, fitted, residual)
 
 
 def _rig_of(fit: Fit, i: int) -> tuple[Rig, float]:
@@ -83,7 +83,7 @@ def _rig_of(fit: Fit, i: int) -> tuple[Rig, float]:
     return rig, float(fit.start[i])
 
 
-def fitted_trace(fit: Fit, i: int) -> dict[str, FittedTrace]:
+def compare_trace(fit: Fit, i: int) -> dict[str, TraceComparison]:
     """`force` and `position` of push i of a fit of recordings, those that were recorded."""
     data = fit.state.data
     rig, offset = _rig_of(fit, i)
@@ -109,11 +109,11 @@ def fitted_trace(fit: Fit, i: int) -> dict[str, FittedTrace]:
             residual = residual - zero * one
         n = int(np.flatnonzero(a)[-1]) + 1
         whitened = np.where(a > 0, weight * residual, np.nan)
-        out[name] = FittedTrace(t[:n], y[:n] - zero, model[:n], whitened[:n])
+        out[name] = TraceComparison(t[:n], y[:n] - zero, model[:n], whitened[:n])
     return out
 
 
-def fitted_family(fit: Fit, condition: str, speeds: NDArray) -> Family | None:
+def simulate_condition(fit: Fit, condition: str, speeds: NDArray) -> Family | None:
     """The calibrated F_p and d of a condition over speeds (n,) [m/s], at its mean mu_s and one
     scatter below and above; None where its pushes differ in mass or stroke, or none was made."""
     mine = [i for i, c in enumerate(fit.conditions) if c == condition]

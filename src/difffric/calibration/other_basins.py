@@ -11,11 +11,13 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from difffric.calibration.table_starts import BATCH, answers, pool, residuals
+from difffric.calibration.batched_answers import BATCH, compute_answers, weigh_residuals
+from difffric.calibration.table_starts import gather_starts
 from difffric.estimation.mixed_fit import Model, Settled, full_covariance
 from difffric.estimation.stacked_data import FitData
 
 _POOL = 4 * BATCH
+"""Points that are drawn: whole batches, so that one compiled program serves."""
 _FARTHEST = 20.0
 """Points lie at up to this many times what the covariance says."""
 _LEAST = 1e-3
@@ -23,27 +25,31 @@ _LEAST = 1e-3
 _APART = 3.0
 """Points less than this many standard deviations apart lie in one basin."""
 _STEP = 2e-3
-"""Of log mu_s, for its derivative."""
+"""Of log mu_s, for its derivative by a difference: d bends over no shorter distance."""
 _FLOOR = np.array([0.002, 0.01])
 """What the model may be off in F_p and d, as shares, at a point that is not an optimum."""
 _SCATTERS = (0.0, 0.002, 0.005, 0.01, 0.02, 0.04)
+"""Scatters of mu_s of which the best counts for a point: none, to twice that of usual rails."""
+_NO_ANSWER = 1e6
+"""The size of a residual where there is no answer."""
+_COUNTED = 4
+"""A push's chi-square counts in full up to about this size and by its logarithm beyond, so that
+one push on the wrong side of a jump does not spoil a point."""
 
 
-def starts_elsewhere(
+def find_other_basins(
     model: Model, data: FitData, at: Settled, box: list[NDArray], most: int
 ) -> list[NDArray]:
-    """At most `most` points (P,) in other basins than `at` and each other, the best first."""
+    """At most `most` points (free,) in other basins than `at` and each other, the best first."""
     layout = model.layout
     # By eigenvalues: one that nothing determines leaves no digits to the others.
     variance, axes = np.linalg.eigh(full_covariance(model, data, at))
     variance = np.maximum(variance, 0.0) + _LEAST**2
-    u = scipy.stats.qmc.Sobol(layout.n_free + 1, scramble=False).random_base2(int(np.log2(_POOL)))
-    size = np.exp(np.log(_FARTHEST) * u[:, -1:])
-    normal = scipy.special.ndtri(np.clip(u[:, :-1], 1e-4, 1 - 1e-4))
-    theta = at.theta + size * (normal * np.sqrt(variance)) @ axes.T
+    size, steps = _draw_steps(layout.n_free)
+    theta = at.theta + size * (steps * np.sqrt(variance)) @ axes.T
     theta = np.clip(theta, layout.lower, layout.upper)
-    theta = np.concatenate([theta, pool(model, data, box)])
-    rank = _rank(model, data, at, theta)
+    theta = np.concatenate([theta, gather_starts(model, data, box)])
+    rank = _rank_points(model, data, at, theta)
     inverse = (axes / variance) @ axes.T
     chosen = [at.theta]
     for point in theta[np.argsort(rank, kind="stable")]:
@@ -54,29 +60,30 @@ def starts_elsewhere(
     return chosen[1:]
 
 
-_HUGE = 1e6
-"""A residual where there is no answer."""
+def _draw_steps(free: int) -> tuple[NDArray, NDArray]:
+    """Sizes (N, 1) from 1 to `_FARTHEST`, and standard normal steps (N, free), evenly spread."""
+    u = scipy.stats.qmc.Sobol(free + 1, scramble=False).random_base2(int(np.log2(_POOL)))
+    size = np.exp(np.log(_FARTHEST) * u[:, -1:])
+    return size, scipy.special.ndtri(np.clip(u[:, :-1], 1e-4, 1 - 1e-4))
 
 
-def _rank(model: Model, data: FitData, at: Settled, theta: NDArray) -> NDArray:
-    """(N,) robust -2 log-likelihood at points (N, P), the best over some scatters."""
+def _rank_points(model: Model, data: FitData, at: Settled, theta: NDArray) -> NDArray:
+    """(N,) robust -2 log-likelihood at points (N, free), the best over some scatters."""
     seen = np.nan_to_num(np.abs(np.asarray(data.pushes.measured)[: data.n]))
     floor = _FLOOR[-seen.shape[1] :] * seen
     own = 1.0 / np.where(at.weights > 0, at.weights, 1.0)
     weights = np.where(at.weights > 0, 1.0 / np.hypot(own, floor), 0.0)
+
+    def residuals_at(s_eta: NDArray) -> NDArray:
+        r = weigh_residuals(data, weights, compute_answers(model, data, theta, s_eta))
+        return np.clip(np.nan_to_num(r, nan=_NO_ANSWER), -_NO_ANSWER, _NO_ANSWER)
+
     zero = np.zeros((len(theta), data.n))
-    r, beside = (
-        np.clip(
-            np.nan_to_num(residuals(data, weights, answers(model, data, theta, x)), nan=_HUGE),
-            -_HUGE,
-            _HUGE,
-        )
-        for x in (zero, zero + _STEP)
-    )
+    r, beside = residuals_at(zero), residuals_at(zero + _STEP)
     J = (beside - r) / _STEP
     a, b, c = np.sum(J**2, axis=2), np.sum(J * r, axis=2), np.sum(r**2, axis=2)
     costs = []
     for s in _SCATTERS if model.estimate_scatter else (model.scatter,):
         q = np.maximum(c - s**2 * b**2 / (1 + s**2 * a), 0.0)
-        costs.append(np.sum(4 * np.log1p(q / 4) + np.log1p(s**2 * a), axis=1))
+        costs.append(np.sum(_COUNTED * np.log1p(q / _COUNTED) + np.log1p(s**2 * a), axis=1))
     return np.min(costs, axis=0)
