@@ -12,11 +12,13 @@ from difffric.errors import InputError
 
 SETUP = "setup.toml"
 KINDS = (".csv", ".tdms")
+"""Endings of files of measured pushes."""
 _WILD = "*?["
+"""Characters that make a path a pattern."""
 
 
 @dataclass(frozen=True)
-class Source:
+class ArchiveFile:
     """A file of measured pushes."""
 
     path: str
@@ -34,30 +36,31 @@ class Source:
 
 
 def is_archive(data: str | os.PathLike) -> bool:
-    """Whether DATA names many files: a folder, or a pattern that is not itself a file."""
+    """Whether `data` names many files: a folder, or a pattern that is not itself a file."""
     path = Path(data)
     return path.is_dir() or (not path.exists() and any(c in str(data) for c in _WILD))
 
 
-def find(
+def find_files(
     archive: str | os.PathLike, setup: str | os.PathLike | None = None, out: Path | None = None
-) -> list[Source]:
-    """The `.tdms` and `.csv` files of a folder tree or of a pattern (`**` for any folders), by
-    name.
+) -> list[ArchiveFile]:
+    """List the `.tdms` and `.csv` files of an archive, sorted by name.
 
-    A file's rig is the nearest folder upwards, not above the archive, that has a `setup.toml`.
-    Without one it takes `setup`, and its rig is its own folder. What is hidden (a leading dot)
-    and what lies in `out` is passed over. Links to folders are not followed.
+    `archive` is a folder, which is searched with all folders in it, or a pattern (`**` stands for
+    any folders). A file's rig is the nearest folder upwards, not above the archive, that has a
+    `setup.toml`; a file without one takes `setup`, and its rig is its own folder. Hidden files and
+    folders (a leading dot) and what lies in `out` are passed over; links to folders are not
+    followed.
 
     Raises `InputError` where nothing is found, and for files that have no set-up.
     """
-    base, paths = _paths(archive)
+    base, paths = _list_paths(archive)
     inside = None if out is None else out.resolve()
     found, without = [], []
     for path in sorted(paths):
         if inside is not None and path.resolve().is_relative_to(inside):
             continue
-        own = _setup_of(path.parent, base)
+        own = _find_setup(path.parent, base)
         if own is None and setup is None:
             without.append(path)
             continue
@@ -67,7 +70,7 @@ def find(
         except OSError:  # gone since, or a link to nothing: reading it says so
             said = None
         found.append(
-            Source(
+            ArchiveFile(
                 path=str(path),
                 name=path.relative_to(base).as_posix(),
                 rig=folder.relative_to(base).as_posix(),
@@ -86,11 +89,11 @@ def find(
     return found
 
 
-def _paths(archive: str | os.PathLike) -> tuple[Path, list[Path]]:
-    """(the archive's folder, its files of measured pushes), absolute."""
+def _list_paths(archive: str | os.PathLike) -> tuple[Path, list[Path]]:
+    """Return the archive's folder and its files of measured pushes, as absolute paths."""
     if Path(archive).is_dir():
         base = Path(archive).absolute()
-        return base, list(_walked(base))
+        return base, list(_walk(base))
     parts = Path(archive).parts
     wild = [any(c in part for c in _WILD) for part in parts]
     fixed = wild.index(True) if any(wild) else len(parts) - 1
@@ -99,7 +102,8 @@ def _paths(archive: str | os.PathLike) -> tuple[Path, list[Path]]:
     return base, [path for path in named if _is_data(path) and path.is_file()]
 
 
-def _walked(base: Path) -> Iterator[Path]:
+def _walk(base: Path) -> Iterator[Path]:
+    """Yield the files of measured pushes in a folder tree, hidden folders left out."""
     for folder, folders, files in os.walk(base):
         folders[:] = [name for name in folders if not name.startswith(".")]
         yield from (path for name in files if _is_data(path := Path(folder, name)))
@@ -109,8 +113,8 @@ def _is_data(path: Path) -> bool:
     return path.suffix.lower() in KINDS and not path.name.startswith(".")
 
 
-def _setup_of(folder: Path, base: Path) -> Path | None:
-    """The nearest set-up upwards."""
+def _find_setup(folder: Path, base: Path) -> Path | None:
+    """Return the nearest set-up from a folder upwards to `base`, None where there is none."""
     for place in (folder, *folder.parents):
         if (place / SETUP).is_file():
             return place / SETUP

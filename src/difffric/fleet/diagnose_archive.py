@@ -1,7 +1,8 @@
-"""A fleet diagnosed: each rig on its own data, then what the rigs share and which of them differ.
+"""Diagnose an archive: each rig on its own data, then what the rigs share and which of them differ.
 
-As in `fleet`, what is on disk stays true at any moment: each rig's answer appears whole, with a key
-that says what it was made from, and a second run does only what is missing or has changed.
+As in `identify_archive`, what is on disk is true at any moment: each rig's answer appears whole,
+with a key that says what it was made from, and a second run does only what is missing or has
+changed.
 """
 
 from __future__ import annotations
@@ -17,19 +18,19 @@ from difffric.diagnosis.procedure import NEGLIGIBLE, PUSH, SPEED
 from difffric.diagnosis.shape_scan import SHAPED
 from difffric.errors import InputError
 from difffric.estimation.extended_model import PRESLIDING
-from difffric.fleet.archive import Source, find
-from difffric.fleet.identify_archive import escaped, setups_of
-from difffric.fleet.member import ASKED, RESULT, SETUP, Question, Rig, ask, examine
-from difffric.fleet.shared_effects import CAUSES, Combined, combined, differing
+from difffric.fleet.archive import ArchiveFile, find_files
+from difffric.fleet.identify_archive import escape, read_setups
+from difffric.fleet.member import ASKED, RESULT, SETUP, Member, Question, ask, examine
+from difffric.fleet.shared_effects import CAUSES, Combined, combine, find_different
 from difffric.fleet.verdict import FleetDiagnosis
-from difffric.fleet.workers import Lost, Runner, workers
+from difffric.fleet.workers import Lost, Runner, start_workers
 from difffric.output_folder import open_folder
 from difffric.progress import Tell, silent
 from difffric.rig.catalogue import numbers_of
 
 RIGS = "rigs"
 _FIRST = 0.8
-"""Share of the work that the diagnoses are taken to be."""
+"""Share of the work that the diagnoses are taken to be, for the progress that is shown."""
 
 
 def diagnose_fleet(
@@ -44,12 +45,14 @@ def diagnose_fleet(
     use_data_mass: bool = False,
     tell: Tell = silent,
 ) -> FleetDiagnosis:
-    """Diagnose each rig of an archive (`fleet_archive.find`) on at most 40 of its pushes, into
-    `out`, and find the effects that rigs share and the rigs that differ.
+    """Diagnose each rig of an archive, then find what the rigs share and which of them differ.
 
-    `n_workers` and `scheduler` as in `identify_fleet`, the other options as in `diagnose`. A rig
-    is a task; one that cannot be diagnosed is listed with its reason. One run at a time may write
-    to a folder.
+    `archive` and `setup` are as in `fleet.archive.find_files`. Each rig is diagnosed on at most 40
+    of its pushes, and its answer is written into a folder of its own within `out`.
+
+    `n_workers` and `scheduler` are as in `identify_fleet`, the other options as in `diagnose`. Each
+    rig is a task; one that cannot be diagnosed is listed with its reason. One run at a time may
+    write to a folder.
 
     Raises `InputError` where no rig can be diagnosed, for files without a set-up, for a `setup`
     that cannot be read, without dask.distributed, and where `out` cannot be written.
@@ -59,17 +62,17 @@ def diagnose_fleet(
         raise InputError(f"held_out: expected {PUSH!r} or {SPEED!r}, got {held_out!r}")
     out = Path(out)
     tell("looking for files", 0.0)
-    sources = find(archive, setup, out)
-    setups, broken = setups_of(sources, setup)
-    files: dict[str, list[Source]] = {}
+    sources = find_files(archive, setup, out)
+    setups, broken = read_setups(sources, setup)
+    files: dict[str, list[ArchiveFile]] = {}
     for source in sources:
         files.setdefault(source.rig, []).append(source)
     options = {"negligible": negligible, "held_out": held_out, "use_data_mass": use_data_mass}
-    with open_folder(out), workers(n_workers, scheduler) as run:
+    with open_folder(out), start_workers(n_workers, scheduler) as run:
         kept = (out / RIGS).absolute()
         rigs = {
-            name: Rig(
-                name, tuple(files[name]), *known, str(kept / escaped(name)), (*options.items(),)
+            name: Member(
+                name, tuple(files[name]), *known, str(kept / escape(name)), (*options.items(),)
             )
             for name, known in setups.items()
         }
@@ -84,17 +87,21 @@ def diagnose_fleet(
         if not answers:
             rig, why = next(iter(sorted(bad.items())))
             raise InputError(f"{archive}: none of {len(files)} rigs can be diagnosed: {rig}: {why}")
-        found = combined(answers.values())
-        excess, asked = _asked(rigs, found, run, tell)
+        found = combine(answers.values())
+        excess, asked = _ask_members(rigs, found, run, tell)
     return FleetDiagnosis(
-        out, answers, found, excess, differing(found, excess), tuple(sorted(bad.items())),
+        out, answers, found, excess, find_different(found, excess), tuple(sorted(bad.items())),
         len(new), asked,
     )  # fmt: skip
 
 
-def _asked(rigs, found: Combined, run: Runner, tell: Tell) -> tuple[dict, int]:
-    """(what each rig without a common effect says of it, how many were fitted for it)."""
-    questions = [q for one in found.shared for q in _questions(rigs, one)]
+def _ask_members(rigs, found: Combined, run: Runner, tell: Tell) -> tuple[dict, int]:
+    """Ask each rig without a common effect whether it could have it.
+
+    Returns (effect, rig) -> by how much its -2 log likelihood grows with the effect, and how many
+    rigs were fitted for that in this run.
+    """
+    questions = [q for one in found.shared for q in _pose_questions(rigs, one)]
     new = [q for q in questions if q.answer is None]
     # One that could not be asked has no answer, and differs in nothing.
     for done, _ in enumerate(run(ask, new), 1):
@@ -104,8 +111,12 @@ def _asked(rigs, found: Combined, run: Runner, tell: Tell) -> tuple[dict, int]:
     return {key: answer["excess"] for key, answer in known.items() if answer}, len(new)
 
 
-def _questions(rigs, one) -> list[Question]:
-    """To the rigs without an effect that most have, where its size says all of it."""
+def _pose_questions(rigs, one) -> list[Question]:
+    """Return the questions to the rigs without a shared effect.
+
+    There are none where most rigs lack the effect, and where its size does not say all of it (a
+    shape with a place or a wavelength).
+    """
     names = [x.partition(".")[2] or "ratio" for x in numbers_of(one.effect)]
     whole = (
         one.effect not in SHAPED and one.effect != PRESLIDING and set(names) == set(one.parameters)
@@ -120,9 +131,9 @@ def _questions(rigs, one) -> list[Question]:
 
 
 def _tidy(folder: Path, expected: Sequence[Path]) -> None:
-    """Take out what was kept of rigs that are no longer there, or not as they were."""
+    """Remove what was kept of rigs that are no longer there, or not as they were."""
     for path in folder.iterdir() if folder.is_dir() else ():
-        if path in expected or not _ours(path / RESULT):
+        if path in expected or not _is_ours(path / RESULT):
             continue
         for file in (path / RESULT, path / SETUP, *path.glob(f"{ASKED}*.json")):
             file.unlink(missing_ok=True)
@@ -130,7 +141,8 @@ def _tidy(folder: Path, expected: Sequence[Path]) -> None:
             path.rmdir()
 
 
-def _ours(path: Path) -> bool:
+def _is_ours(path: Path) -> bool:
+    """Whether a file is the answer of a rig, as `member.examine` keeps it."""
     try:
         known = json.loads(path.read_bytes())
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""What each recording of a fleet says without a model (F_p, d, noise), kept in parts on disk.
+"""The features of a fleet's recordings (F_p, d, noise: what needs no model), kept on disk in parts.
 
 A part holds the pushes of some files, and with each the key of its file: what the file, its rig's
 sensors and this library were when it was read. A part appears whole or not at all, so that a run
@@ -21,7 +21,7 @@ import polars as pl
 
 from difffric.atomic_files import write_whole
 from difffric.errors import InputError
-from difffric.fleet.archive import Source
+from difffric.fleet.archive import ArchiveFile
 from difffric.measurements.checks import checked_data
 from difffric.measurements.load_file import load
 from difffric.measurements.pushes import COLUMNS, Pushes
@@ -30,7 +30,7 @@ from difffric.measurements.reduction.reduce import reduce_recordings
 from difffric.rig.rig import Rig
 
 LAYOUT = 1
-"""Of parts and data set: another one is made anew."""
+"""Version of the parts' and the data set's layout: what has another one is made anew."""
 MADE_WITH = f"difffric {version('difffric')}, layout {LAYOUT}"
 _NUMBERS = tuple(name for name in COLUMNS if name != "condition")
 
@@ -47,47 +47,48 @@ SCHEMA = {
     "key": pl.String,
     "skipped": pl.List(pl.String),
 }
-"""A row a push, in the order of the file; `skipped` stands with the file's first."""
+"""Columns of a part. Each push has a row, in the order of its file; what was `skipped` of a file
+stands with its first push."""
 
 
 @dataclass(frozen=True)
-class Task:
+class ReadTask:
     """Files to be read in one go, each with its rig, into a part of the folder."""
 
-    sources: tuple[Source, ...]
+    sources: tuple[ArchiveFile, ...]
     rigs: tuple[Rig, ...]
     folder: str
     use_data_mass: bool
 
     @property
     def name(self) -> str:
-        """Of the part: what it is made of."""
+        """Name of the part, a digest of what it is made from."""
         keys = [
-            key_of(s, r, self.use_data_mass) for s, r in zip(self.sources, self.rigs, strict=True)
+            make_key(s, r, self.use_data_mass) for s, r in zip(self.sources, self.rigs, strict=True)
         ]
         return hashlib.sha256("".join(keys).encode()).hexdigest()[:32]
 
 
-def key_of(source: Source, rig: Rig, use_data_mass: bool) -> str:
-    """What decides a file's features: name, size, time of writing; mass and force sensor of the
-    rig, against which it is checked; this library."""
+def make_key(source: ArchiveFile, rig: Rig, use_data_mass: bool) -> str:
+    """Digest of all that decides a file's features: its name, size and time of writing; mass and
+    force sensor of the rig, against which it is checked; and this library."""
     sensor = rig.force_sensor
     numbers = [float(x) for x in (rig.mass, sensor.sensitivity, sensor.range)]
     said = [MADE_WITH, source.name, source.size, source.changed, numbers, use_data_mass]
     return hashlib.sha256(repr(said).encode()).hexdigest()[:32]
 
 
-def extract(task: Task) -> list[tuple[str, str]]:
-    """Read the files of a task into its part; (file, why) of each that cannot be used.
+def extract(task: ReadTask) -> list[tuple[str, str]]:
+    """Read the files of a task into its part; return (file, reason) of each that cannot be used.
 
-    Whatever goes wrong with a file is its own matter: it is told, and the others are read.
+    Whatever goes wrong with one file does not keep the others from being read.
     """
     tables, bad = [], []
     for source, rig in zip(task.sources, task.rigs, strict=True):
         try:
-            tables.append(features(source, rig, task.use_data_mass))
+            tables.append(read_features(source, rig, task.use_data_mass))
         except InputError as error:
-            bad.append((source.name, _without_folder(str(error), source)))
+            bad.append((source.name, _strip_folder(str(error), source)))
         except Exception as error:
             bad.append((source.name, f"{type(error).__name__}: {error}"))
     if tables:
@@ -95,8 +96,8 @@ def extract(task: Task) -> list[tuple[str, str]]:
     return bad
 
 
-def features(source: Source, rig: Rig, use_data_mass: bool = False) -> pl.DataFrame:
-    """A file's pushes, columns as in `SCHEMA`, SI units.
+def read_features(source: ArchiveFile, rig: Rig, use_data_mass: bool = False) -> pl.DataFrame:
+    """Return a file's pushes as a table of the columns `SCHEMA`, in SI units.
 
     Raises `InputError` where none of them can be used.
     """
@@ -107,14 +108,14 @@ def features(source: Source, rig: Rig, use_data_mass: bool = False) -> pl.DataFr
             reduction = reduce_recordings(checked_data(data, rig, **how), skip_bad=True)
             pushes, details = reduction.pushes, reduction.details
             names = [r.name for r in reduction.recordings]
-            days = [_day(source, r.started) for r in reduction.recordings]
+            days = [_find_day(source, r.started) for r in reduction.recordings]
         else:
             pushes, details = checked_data(data, rig, **how), ()
-            names, days = [""] * len(pushes), [_day(source, np.nan)] * len(pushes)
+            names, days = [""] * len(pushes), [_find_day(source, np.nan)] * len(pushes)
     except OSError as error:
         raise InputError(f"{source.path}: cannot be read: {error.strerror}") from None
     n = len(pushes)
-    skipped = [_without_folder(line, source) for line in pushes.skipped]
+    skipped = [_strip_folder(line, source) for line in pushes.skipped]
     columns = {name: getattr(pushes, name) for name in _NUMBERS}
     noise = {
         f"noise_{which}": [
@@ -132,22 +133,24 @@ def features(source: Source, rig: Rig, use_data_mass: bool = False) -> pl.DataFr
         **columns,
         **noise,
         "missing": [one.reason or None for one in details] or [None] * n,
-        "key": [key_of(source, rig, use_data_mass)] * n,
+        "key": [make_key(source, rig, use_data_mass)] * n,
         "skipped": [skipped, *[[]] * (n - 1)],
     }
     return pl.DataFrame(table, schema=SCHEMA).with_columns(pl.col(pl.Float64).fill_nan(None))
 
 
-def pushes_of(table: pl.DataFrame) -> Pushes:
-    """The pushes of some rows of `SCHEMA`."""
+def to_pushes(table: pl.DataFrame) -> Pushes:
+    """Return the pushes of some rows of a table of the columns `SCHEMA`."""
     columns: dict[str, Any] = {name: table[name].fill_null(np.nan).to_numpy() for name in _NUMBERS}
     return Pushes(**columns, condition=tuple(table["condition"]))
 
 
-def kept(folder: Path, keys: Sequence[str]) -> pl.DataFrame:
-    """The pushes of all files whose keys are asked for, as far as the folder's parts have them,
-    in the order of files and pushes. A part that has none of them any more is removed; one that
-    cannot be read, too."""
+def load_kept(folder: Path, keys: Sequence[str]) -> pl.DataFrame:
+    """Return the pushes of all files whose keys are asked for, as far as the parts in a folder have
+    them, sorted by file and push.
+
+    A part that has none of them any more is removed, and so is one that cannot be read.
+    """
     tables, wanted = [pl.DataFrame(schema=SCHEMA)], pl.Series(keys, dtype=pl.String).implode()
     for path in sorted(folder.glob("*.parquet")):
         try:
@@ -163,19 +166,20 @@ def kept(folder: Path, keys: Sequence[str]) -> pl.DataFrame:
     return whole.sort("file", "push")
 
 
-def _day(source: Source, started: float) -> str:
-    """The date [UTC] of a recording: its own, else that of the file's last writing."""
+def _find_day(source: ArchiveFile, started: float) -> str:
+    """The date [UTC] of a recording: its own (`started`, s since 1970), else that of the file's
+    last writing."""
     seconds = source.changed / 1e9 if np.isnan(started) else started
     return datetime.fromtimestamp(max(seconds, 0.0), UTC).date().isoformat()
 
 
-def _without_folder(text: str, source: Source) -> str:
-    """A message with the file's name in the archive in place of its path, in one line."""
+def _strip_folder(text: str, source: ArchiveFile) -> str:
+    """Return a message in one line, with the file's name in the archive in place of its path."""
     return " ".join(text.replace(source.path, source.name).removeprefix(f"{source.name}: ").split())
 
 
-def unfinished(folder: Path) -> None:
-    """Remove what a killed process had begun to write in a folder tree."""
+def remove_unfinished(folder: Path) -> None:
+    """Remove the files that a killed process had begun to write in a folder tree."""
     for path, _, files in os.walk(folder):
         for name in files:
             if name.startswith("."):

@@ -1,10 +1,10 @@
-"""A fleet's recordings identified: many files of many rigs to one Parquet data set.
+"""Identify an archive: many files of many rigs become one Parquet data set with mu_s of each push.
 
-Two stages. Features: each file read and reduced to F_p and d, some files a task. Friction: mu_s of
-the pushes, some thousands of them a task, whatever rigs they come from. What is on disk stays true
-at any moment: each file appears whole, under a name and with a key that say what it was made from,
-so that a run that was killed, or an archive that has grown, goes on with what is missing; what
-remains is the data set of a single run, bit for bit.
+The work has two stages. For the features each file is read and reduced to F_p and d, some files a
+task. For the friction mu_s of the pushes is identified, some thousands of them a task, whatever
+rigs they come from. What is on disk is true at any moment: each file appears whole, under a name
+and with a key that say what it was made from. So a run that was killed, or an archive that has
+grown, goes on with what is missing, and ends with the data set of a single run, bit for bit.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ import polars as pl
 from difffric.atomic_files import write_whole
 from difffric.errors import InputError
 from difffric.fleet import features
-from difffric.fleet.archive import Source, find
+from difffric.fleet.archive import ArchiveFile, find_files
 from difffric.fleet.columns import friction
 from difffric.fleet.features import MADE_WITH
-from difffric.fleet.workers import Lost, Runner, workers
+from difffric.fleet.workers import Lost, Runner, start_workers
 from difffric.output_folder import open_folder
 from difffric.progress import Tell, silent
 from difffric.rig.setup import Setup
 from difffric.rig.setup_toml import read_setup
 
 FILES = 32
-"""Files that a task reads: more make a kill cost more, fewer the scheduler."""
+"""Files that a task reads. More would make a kill cost more, fewer would cost scheduling."""
 BYTES = 4_000_000
-"""The same, of long files."""
+"""What a task reads at most where its files are long, for the same reason."""
 ROWS = 8192
-"""Pushes that a task identifies, and that a file of the data set holds, at most."""
+"""Pushes that a task identifies at most, and that a file of the data set holds."""
 DATA_SET, STATE = "pushes", ".fleet"
 _KEY = "difffric"
 
@@ -55,20 +55,20 @@ class Fleet:
     skipped: tuple[tuple[str, str, str], ...]
     """(rig, file, why) of pushes left out of files that could"""
     fresh_files: int
-    """files that were read in this run; the others were known"""
+    """number of files that were read in this run; the others were known"""
     fresh_parts: int
-    """files of the data set that were made in this run"""
+    """number of files of the data set that were made in this run"""
     without_stroke: tuple[str, ...] = ()
-    """rigs whose set-up gives none"""
+    """rigs whose set-up gives no stroke"""
 
     @property
     def pushes(self) -> pl.LazyFrame:
-        """The data set, its columns those of `docs/formats.md`, with `rig` and `date`."""
+        """The data set, with the columns of `docs/formats.md`, `rig` and `date` among them."""
         return data_set(self.folder)
 
 
 def data_set(folder: str | os.PathLike) -> pl.LazyFrame:
-    """The pushes that `identify_fleet` left in a folder, by rig, date, file and push."""
+    """Open the pushes that `identify_fleet` left in a folder, by rig, date, file and push."""
     files = sorted(Path(folder, DATA_SET).glob("rig=*/date=*/*.parquet"))
     return pl.concat([pl.scan_parquet(path, hive_partitioning=False) for path in files])
 
@@ -83,28 +83,30 @@ def identify_fleet(
     use_data_mass: bool = False,
     tell: Tell = silent,
 ) -> Fleet:
-    """mu_s of every push of an archive (`fleet_archive.find`), into `out`, goes on where an
-    earlier run ended.
+    """Identify mu_s of every push of an archive, into the folder `out`.
 
-    `n_workers` processes of one thread each, or the workers of a dask `scheduler` (an address),
-    which must see archive and `out` under the same paths; one worker is this process. One run at a
-    time may write to a folder. `tell(what, share done)` hears of the progress.
+    `archive` and `setup` are as in `fleet.archive.find_files`. A run goes on where an earlier one
+    into the same folder ended; one run at a time may write to a folder.
+
+    The work is done by `n_workers` processes of one thread each (one worker is this process), or by
+    the workers of a dask `scheduler` (its address), which must see `archive` and `out` under the
+    same paths. `tell(what, share done)` hears of the progress.
 
     Raises `InputError` where no file can be used, for files without a set-up, for a `setup` that
     cannot be read, without dask.distributed, and where `out` cannot be written.
     """
     out = Path(out)
     tell("looking for files", 0.0)
-    sources = find(archive, setup, out)
-    setups, broken = setups_of(sources, setup)
-    with open_folder(out), workers(n_workers, scheduler) as run:
+    sources = find_files(archive, setup, out)
+    setups, broken = read_setups(sources, setup)
+    with open_folder(out), start_workers(n_workers, scheduler) as run:
         _tidy(out)
         parts = (out / STATE).absolute()
         made = not parts.exists()
         parts.mkdir(exist_ok=True)
         good = [s for s in sources if s.rig not in broken]
         bad = {s.name: broken[s.rig] for s in sources if s.rig in broken}
-        table, fresh, found = _features(good, setups, parts, use_data_mass, run, tell)
+        table, fresh, found = _read_features(good, setups, parts, use_data_mass, run, tell)
         bad |= found
         if not len(table):
             if made:
@@ -120,7 +122,7 @@ def identify_fleet(
             for file, lines in rows.select("file", "skipped").iter_rows()
             for line in lines
         ]
-        again = _friction(table, rig_of, setups, out.absolute(), run, tell)
+        again = _identify_all(table, rig_of, setups, out.absolute(), run, tell)
         listed = sorted((rig_of[file], file, why) for file, why in bad.items())
         _write_bad(out / "bad.csv", listed, skipped)
     files: dict[str, int] = {}
@@ -130,10 +132,15 @@ def identify_fleet(
     return Fleet(out, files, tuple(listed), tuple(skipped), fresh, again, short)
 
 
-def setups_of(
-    sources: Sequence[Source], given: str | os.PathLike | None
+def read_setups(
+    sources: Sequence[ArchiveFile], given: str | os.PathLike | None
 ) -> tuple[dict[str, tuple[Setup, str]], dict[str, str]]:
-    """(each rig's set-up and a digest of its file, each rig's problem)."""
+    """Read the set-ups of all rigs once.
+
+    Returns rig -> its set-up and a digest of its file, and rig -> why its set-up cannot be used.
+
+    Raises `InputError` where that is the set-up that was `given` for files without one.
+    """
     found, broken = {}, {}
     for source in sources:
         if source.rig in found or source.rig in broken:
@@ -148,22 +155,26 @@ def setups_of(
     return found, broken
 
 
-def _features(
+def _read_features(
     sources, setups, parts: Path, use_data_mass: bool, run: Runner, tell: Tell
 ) -> tuple[pl.DataFrame, int, dict[str, str]]:
-    """(the features of all files that can be used, how many were read, why of the others)."""
+    """Run the first stage on all files that no part has yet.
+
+    Returns the features of all files that can be used, how many files were read in this run, and
+    file -> reason of those that cannot be used.
+    """
     rigs = {s.name: setups[s.rig][0].rig for s in sources}
-    keys = {features.key_of(s, rigs[s.name], use_data_mass): s for s in sources}
-    known = set(features.kept(parts, list(keys))["key"])
+    keys = {features.make_key(s, rigs[s.name], use_data_mass): s for s in sources}
+    known = set(features.load_kept(parts, list(keys))["key"])
     new = [s for key, s in keys.items() if key not in known]
     bad: dict[str, str] = {}
     done = 0
 
-    def task(some: Sequence[Source]) -> features.Task:
+    def task(some: Sequence[ArchiveFile]) -> features.ReadTask:
         own = tuple(rigs[s.name] for s in some)
-        return features.Task(tuple(some), own, str(parts), use_data_mass)
+        return features.ReadTask(tuple(some), own, str(parts), use_data_mass)
 
-    waiting = [task(some) for some in _shared_out(new)]
+    waiting = [task(some) for some in _share_out(new)]
     while waiting:
         alone = []
         for one, found in run(features.extract, waiting):
@@ -176,13 +187,13 @@ def _features(
             done += len(one.sources)
             tell(f"reading recordings, {done} of {len(new)}", 0.7 * done / len(new))
         waiting = alone
-    features.unfinished(parts)
-    return features.kept(parts, list(keys)), len(new), bad
+    features.remove_unfinished(parts)
+    return features.load_kept(parts, list(keys)), len(new), bad
 
 
-def _shared_out(sources: Sequence[Source]) -> Iterator[list[Source]]:
-    """Files of a task: up to `FILES`, and up to `BYTES` where that are several."""
-    some: list[Source] = []
+def _share_out(sources: Sequence[ArchiveFile]) -> Iterator[list[ArchiveFile]]:
+    """Share files out to tasks: up to `FILES` each, and up to `BYTES` where that is several."""
+    some: list[ArchiveFile] = []
     for source in sources:
         if some and (len(some) == FILES or sum(s.size for s in some) + source.size > BYTES):
             yield some
@@ -203,15 +214,18 @@ class _Part:
     table: pl.DataFrame
 
 
-def _friction(table, rig_of, setups, out: Path, run: Runner, tell: Tell) -> int:
-    """Bring the data set to what the features and set-ups say; how many of its files were made."""
+def _identify_all(table, rig_of, setups, out: Path, run: Runner, tell: Tell) -> int:
+    """Run the second stage: make the data set what the features and set-ups say.
+
+    Returns how many of its files were made in this run.
+    """
     ordered = table.with_columns(rig=pl.col("file").replace_strict(rig_of, return_dtype=pl.String))
     ordered = ordered.sort("rig", "date", "file", "push", maintain_order=True)
     expected: set[Path] = set()
 
     def missing() -> Iterator[_Part]:
         for (rig, date), rows in ordered.group_by("rig", "date", maintain_order=True):
-            folder = out / DATA_SET / f"rig={escaped(str(rig))}" / f"date={date}"
+            folder = out / DATA_SET / f"rig={escape(str(rig))}" / f"date={date}"
             setup, digest = setups[rig]
             # A program takes either pushes or free slides.
             rows = rows.with_columns(slide=pl.col("velocity").is_null()).partition_by(
@@ -222,23 +236,23 @@ def _friction(table, rig_of, setups, out: Path, run: Runner, tell: Tell) -> int:
                 path = folder / f"part-{i:04d}.parquet"
                 expected.add(path)
                 piece = piece.drop("key", "skipped")
-                key = _key(piece, digest)
-                if _said_key(path) != key:
+                key = _make_key(piece, digest)
+                if _read_key(path) != key:
                     yield _Part(str(path), key, str(rig), setup, piece)
 
     made = done = 0
-    for some, result in run(_identify, _packed(missing())):
+    for some, result in run(_identify, _pack(missing())):
         if isinstance(result, Lost):
             raise InputError(f"identifying {some[0].rig}: its process died: {result}")
         made += len(some)
         done += sum(len(part.table) for part in some)
         tell(f"identifying, {done} of {len(ordered)} pushes", 0.7 + 0.3 * done / len(ordered))
-    _only(out / DATA_SET, expected)
+    _remove_others(out / DATA_SET, expected)
     return made
 
 
-def _packed(parts: Iterable[_Part]) -> Iterator[list[_Part]]:
-    """Parts put together to some `ROWS` pushes a task."""
+def _pack(parts: Iterable[_Part]) -> Iterator[list[_Part]]:
+    """Put parts together to tasks of some `ROWS` pushes."""
     some: list[_Part] = []
     for part in parts:
         if some and sum(len(x.table) for x in some) + len(part.table) > ROWS:
@@ -250,8 +264,8 @@ def _packed(parts: Iterable[_Part]) -> Iterator[list[_Part]]:
 
 
 def _identify(parts: list[_Part]) -> None:
-    """A task of the second stage: identify, and write each part."""
-    found = friction([(part.setup, features.pushes_of(part.table)) for part in parts])
+    """Do a task of the second stage: identify the pushes and write each part."""
+    found = friction([(part.setup, features.to_pushes(part.table)) for part in parts])
     for part, columns in zip(parts, found, strict=True):
         whole = pl.concat([part.table, columns], how="horizontal")
         whole = whole.select("rig", "date", pl.exclude("rig", "date")).rechunk()
@@ -261,27 +275,30 @@ def _identify(parts: list[_Part]) -> None:
         )
 
 
-def _key(table: pl.DataFrame, setup: str) -> str:
-    """What a part is made from: its features, the set-up's file, this library."""
+def _make_key(table: pl.DataFrame, setup: str) -> str:
+    """Digest of what a part is made from: its features, its set-up's file, this library."""
     # As text, to the last digit: the bytes of a frame tell how it was put together, too.
     content = table.write_csv()
     return hashlib.sha256(f"{MADE_WITH} {setup} {content}".encode()).hexdigest()[:32]
 
 
-def _said_key(path: Path) -> str | None:
+def _read_key(path: Path) -> str | None:
+    """Return the key that a file of the data set was written with; None where there is no such."""
     try:
         return pl.read_parquet_metadata(path).get(_KEY)
     except (pl.exceptions.PolarsError, OSError):
         return None
 
 
-def escaped(rig: str) -> str:
-    """A rig's name as part of a folder's; those that end in a dot are not Windows's."""
+def escape(rig: str) -> str:
+    """Return a rig's name as a folder's name can hold it. A dot is escaped too, as Windows has no
+    folders that end in one."""
     return quote(rig, safe="").replace(".", "%2E")
 
 
-def _only(folder: Path, expected: set[Path]) -> None:
-    """Remove what the data set no longer has, and what a kill left half-written."""
+def _remove_others(folder: Path, expected: set[Path]) -> None:
+    """Remove all files of a folder tree but those `expected`: what the data set no longer has, and
+    what a kill left half-written."""
     for path, _, files in os.walk(folder, topdown=False):
         for name in files:
             if Path(path, name) not in expected:
@@ -299,12 +316,18 @@ def _tidy(out: Path) -> None:
 
 
 def _remove(folder: Path) -> None:
+    """Remove a folder and the files in it."""
     for path in folder.iterdir():
         path.unlink()
     folder.rmdir()
 
 
-def _write_bad(path: Path, bad, skipped) -> None:
+def _write_bad(
+    path: Path,
+    bad: Iterable[tuple[str, str, str]],
+    skipped: Iterable[tuple[str, str, str]],
+) -> None:
+    """Write the table of what was left out, from (rig, file, reason) of files and of pushes."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(("rig", "file", "left_out", "reason"))

@@ -1,5 +1,5 @@
-"""One rig of a fleet: its diagnosis as it stands on disk, and what it says of an effect that
-others have."""
+"""A member of a fleet: one rig's diagnosis, kept on disk, and what its pushes say of an effect that
+other rigs have."""
 
 from __future__ import annotations
 
@@ -33,20 +33,21 @@ from difffric.rig.setup import Setup
 from difffric.rig.setup_toml import read_setup, write_setup
 
 LAYOUT = 1
-"""Of what is kept of a rig: another one is made anew."""
+"""Version of what is kept of a rig: what has another one is made anew."""
 RESULT, SETUP, ASKED = "result.json", "setup.toml", "asked-"
 _ROUNDS = 40
+"""The most steps of a fit with an effect's size held; it ends before where it has settled."""
 
 
 @dataclass(frozen=True)
 class Member:
-    """A rig that is to be diagnosed."""
+    """A rig of a fleet that is to be diagnosed."""
 
     name: str
     sources: tuple[ArchiveFile, ...]
     setup: Setup
     digest: str
-    """of its set-up's file"""
+    """of the content of its set-up's file"""
     folder: str
     """where its answer is kept"""
     options: tuple[tuple[str, Any], ...] = ()
@@ -54,14 +55,14 @@ class Member:
 
     @property
     def key(self) -> str:
-        """What decides its answer: files, set-up, options, this library."""
+        """Digest of all that decides the answer: files, set-up, options, this library."""
         files = [(s.name, s.size, s.changed) for s in self.sources]
         said = [MADE_WITH, LAYOUT, MOST, files, self.digest, self.options]
         return hashlib.sha256(repr(said).encode()).hexdigest()[:32]
 
     @property
     def answer(self) -> dict | None:
-        """What is known of it, where it was made from what is there now."""
+        """The answer on disk; None where there is none that was made from what is there now."""
         return _load_answer(Path(self.folder) / RESULT, self.key)
 
 
@@ -76,23 +77,27 @@ class Question:
 
     @property
     def key(self) -> str:
-        """What decides the answer."""
+        """Digest of all that decides the answer."""
         said = [self.rig.key, self.effect, self.sizes]
         return hashlib.sha256(repr(said).encode()).hexdigest()[:32]
 
     @property
     def path(self) -> Path:
-        """Where the answer is kept."""
+        """The file that the answer is kept in."""
         return Path(self.rig.folder) / f"{ASKED}{self.effect}.json"
 
     @property
     def answer(self) -> dict | None:
-        """What is known."""
+        """The answer on disk; None where there is none that was made from what is there now."""
         return _load_answer(self.path, self.key)
 
 
 def examine(rig: Member) -> str | None:
-    """Diagnose a rig and keep the answer; why it could not be, where it could not."""
+    """Diagnose a rig and keep the answer in its folder.
+
+    Returns None, or in words why the rig could not be diagnosed. Workers run it, so it raises
+    nothing.
+    """
     jax.config.update("jax_enable_x64", True)  # a worker's own process has not
     try:
         some = sample(rig.sources)
@@ -118,13 +123,14 @@ def examine(rig: Member) -> str | None:
 
 
 def collect_evidence(found: Diagnosis) -> dict[str, dict]:
-    """What one rig says for each effect that it was looked for, beside the rig's causes.
+    """Collect what a rig's diagnosis says for each effect that was looked for.
 
-    `chi2_drop` with as many degrees of freedom as `numbers`, and its `p_value`, the effect's own
-    looks counted, other effects not: of a cause by the refit, else by the score test on top of the
-    final model (with `at` and `visible`, see `score_test.Score`), else, where there is no cause,
-    by the refit on top of the plain one; 0 where nothing spoke for it. Nothing where the misfit is
-    unexplained: a model that is wrong is evidence of nothing.
+    Each effect has `chi2_drop`, with as many degrees of freedom as `numbers`, and its `p_value`,
+    corrected for the looks at this effect but not for other effects. The drop of a cause is that of
+    its refit. That of another effect is by the score test on top of the final model (with `at` and
+    `visible`, see `score_test.Score`), else, where there is no cause, by the refit on top of the
+    plain model; it is 0 where nothing spoke for the effect. Where the misfit is unexplained the
+    answer is empty, as a model that is wrong is evidence of nothing.
     """
     if found.verdict == UNEXPLAINED:
         return {}
@@ -146,6 +152,7 @@ def collect_evidence(found: Diagnosis) -> dict[str, dict]:
 
 
 def _list_effects(setup: Setup) -> set[str]:
+    """Ids of the effects that a set-up has already."""
     return {name.partition(".")[0] for name in catalogue.parameter_names(setup.rig)}
 
 
@@ -157,7 +164,10 @@ def _describe_evidence(effect: str, drop: float) -> dict:
 
 def ask(question: Question) -> str | None:
     """Fit a rig with the effect held at each of the sizes, all else free, and keep by how much the
-    best of them is worse than the rig's own model; why that could not be, where it could not."""
+    best of these fits is worse than the rig's own model.
+
+    Returns None, or in words why that could not be done. Workers run it, so it raises nothing.
+    """
     jax.config.update("jax_enable_x64", True)
     rig = question.rig
     try:
@@ -175,8 +185,12 @@ def ask(question: Question) -> str | None:
 
 
 def compute_excess(task: en.Task, base: en.Fits, effect: str, sizes: Mapping) -> float:
-    """-2 log likelihood with the effect at the best of some sizes (key -> as many numbers) less
-    that of `base`, each the best of the fits from there and from equal mu_s of the pushes."""
+    """Return by how much -2 log likelihood with the effect at the best of some sizes is above that
+    of `base`, the fit of the rig's own model.
+
+    `sizes` has as many numbers for each key of the effect. Each size is fitted twice, from `base`
+    and from equal mu_s of all pushes, and the better fit counts.
+    """
     coordinates = task.model.coordinates
     names = numbers_of(effect)
     keys = ["ratio" if effect == RATIO else name.partition(".")[2] for name in names]
@@ -197,12 +211,13 @@ def compute_excess(task: en.Task, base: en.Fits, effect: str, sizes: Mapping) ->
 
 
 def _word_reason(error: Exception) -> str:
-    """In one line; of what nobody foresaw, what it is."""
+    """Return an error in one line; of an error that nobody foresaw, its type too."""
     words = one_line(" ".join(str(error).split()))
     return words if isinstance(error, DifffricError) else f"{type(error).__name__}: {words}"
 
 
 def _load_answer(path: Path, key: str) -> dict | None:
+    """Return what a file holds; None where there is none, or one with another key."""
     try:
         known = json.loads(path.read_bytes())
     except (OSError, ValueError):

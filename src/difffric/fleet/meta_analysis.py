@@ -1,4 +1,8 @@
-"""Many small studies of one thing: their evidence summed, their sizes pooled, the odd one found."""
+"""Meta-analysis: many small studies of one thing, here one rig's diagnosis each.
+
+Their evidence is summed (`sum_evidence`, `count_sharing`), the sizes that they found are pooled to
+one (`pool`), and a study that does not fit the others is found (`find_odd_ones`).
+"""
 
 from __future__ import annotations
 
@@ -7,8 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike, NDArray
+from statsmodels.stats.multitest import multipletests
 
-_ROUNDS = 60
+_EXACT = {"xtol": 1e-300, "rtol": 4 * np.finfo(float).eps, "maxiter": 1000}
+"""A root to the last digits, whatever its scale."""
 
 
 @dataclass(frozen=True)
@@ -17,52 +23,67 @@ class Pooled:
 
     value: float
     standard_error: float
-    """between the studies' own errors and how much they differ"""
+    """of `value`, by the studies' own errors and by how much they differ"""
     q: float
-    """Cochran's: the squares about the mean that counts the studies' own errors only"""
+    """Cochran's Q: the sum of squares about the mean, each over its study's own variance"""
     p_value: float
-    """of so large a q where all have the same size"""
+    """the probability of a Q as large where all studies have the same size"""
     between: float
     """standard deviation between the studies (Paule and Mandel); 0: their errors explain it"""
     n: int
-    """studies"""
+    """number of studies"""
 
 
-def pooled(values: ArrayLike, errors: ArrayLike) -> Pooled:
-    """The mean of values (n,) with standard errors (n,), n >= 1, the spread between them
-    estimated: where it is 0 the weights are 1 / error^2, and the standard error theirs."""
+def pool(values: ArrayLike, errors: ArrayLike) -> Pooled:
+    """Estimate the size that n >= 1 studies share from their values (n,) and standard errors (n,).
+
+    The variance between the studies is Paule and Mandel's (1982): the one with which the sum of
+    squares about the weighted mean is n - 1. Where it is 0, the weights are 1 / error^2.
+    """
     x, s = np.asarray(values, float), np.asarray(errors, float)
     n = len(x)
-    q = _squares(x, s, 0.0)
+    q = _sum_squares(x, s, 0.0)
     variance = 0.0
-    if n > 1 and q > n - 1:  # the squares fall with the variance between, and are to be n - 1
-        low, high = 0.0, float(np.ptp(x) ** 2 + 1e-300)
-        for _ in range(_ROUNDS):
-            variance = 0.5 * (low + high)
-            low, high = (variance, high) if _squares(x, s, variance) > n - 1 else (low, variance)
+    if n > 1 and q > n - 1:
+        # By hand: statsmodels' combine_effects stops at 1e-5 of n - 1, says 0 where rounding lets
+        # it pass the root, and does not say whether it converged.
+        def excess(between: float) -> float:
+            return _sum_squares(x, s, between) - (n - 1)
+
+        highest = float(np.ptp(x) ** 2 + 1e-300)
+        variance = float(scipy.optimize.brentq(excess, 0.0, highest, **_EXACT))
     weight = 1.0 / (s**2 + variance)
-    p = float(scipy.stats.chi2.sf(q, n - 1)) if n > 1 else 1.0
     return Pooled(
-        float(weight @ x / weight.sum()), float(weight.sum() ** -0.5), q, p,
-        float(np.sqrt(variance)), n,
-    )  # fmt: skip
+        value=float(weight @ x / weight.sum()),
+        standard_error=float(weight.sum() ** -0.5),
+        q=q,
+        p_value=float(scipy.stats.chi2.sf(q, n - 1)) if n > 1 else 1.0,
+        between=float(np.sqrt(variance)),
+        n=n,
+    )
 
 
-def _squares(x: NDArray, s: NDArray, variance: float) -> float:
+def _sum_squares(x: NDArray, s: NDArray, variance: float) -> float:
+    """The weighted sum of squares of values x (n,) with errors s (n,) about their mean, where the
+    studies differ by so much."""
     weight = 1.0 / (s**2 + variance)
     return float(weight @ (x - weight @ x / weight.sum()) ** 2)
 
 
-def left_out(values: ArrayLike, errors: ArrayLike) -> NDArray:
-    """(n,) probability that a study is by chance as far from what the others foretell of it, two
-    sides; 1 where fewer than two others are. What the others differ by counts: where they do, by an
-    estimate, the test is Student's with a degree of freedom less than there are others."""
+def compare_each_with_rest(values: ArrayLike, errors: ArrayLike) -> NDArray:
+    """For each of n studies, the probability (n,) that it is by chance as far from what the others
+    foretell of it; two-sided.
+
+    What the others differ by counts. Where they do differ, that is an estimate, and the test is
+    Student's with one degree of freedom less than there are others. Where fewer than two others
+    are, the answer is 1.
+    """
     x, s = np.asarray(values, float), np.asarray(errors, float)
     p = np.ones(len(x))
     if len(x) < 3:
         return p
     for i in range(len(x)):
-        rest = pooled(np.delete(x, i), np.delete(s, i))
+        rest = pool(np.delete(x, i), np.delete(s, i))
         size = np.sqrt(s[i] ** 2 + rest.between**2 + rest.standard_error**2)
         away = abs(x[i] - rest.value) / size
         p[i] = 2 * (
@@ -71,23 +92,21 @@ def left_out(values: ArrayLike, errors: ArrayLike) -> NDArray:
     return p
 
 
-def holm(p: ArrayLike) -> NDArray:
-    """(n,) p-values corrected for their number (Holm)."""
-    p = np.asarray(p, float)
-    order = np.argsort(p)
-    raised = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
-    out = np.empty(len(p))
-    out[order] = np.minimum(raised, 1.0)
-    return out
+def correct_by_holm(p: ArrayLike) -> NDArray:
+    """Correct p-values (n,) for their number, by Holm's method."""
+    return np.asarray(multipletests(np.asarray(p, float), method="holm")[1])
 
 
-def odd_ones(values: ArrayLike, errors: ArrayLike, level: float) -> dict[int, float]:
-    """Studies that are off the others' size -> their corrected p-value, below `level`; the oddest
-    is taken out first, as it would hide what is left."""
+def find_odd_ones(values: ArrayLike, errors: ArrayLike, level: float) -> dict[int, float]:
+    """Find the studies that do not have the others' size: their index -> p-value below `level`,
+    corrected for the number of studies.
+
+    The oddest is taken out first, and the rest are compared anew, as it would hide what is left.
+    """
     x, s = np.asarray(values, float), np.asarray(errors, float)
     there, found = list(range(len(x))), {}
     while len(there) > 2:
-        p = holm(left_out(x[there], s[there]))
+        p = correct_by_holm(compare_each_with_rest(x[there], s[there]))
         worst = int(np.argmin(p))
         if p[worst] >= level:
             break
@@ -95,10 +114,11 @@ def odd_ones(values: ArrayLike, errors: ArrayLike, level: float) -> dict[int, fl
     return found
 
 
-def summed(drops: ArrayLike, numbers: ArrayLike, at_least: int = 1) -> float:
-    """Probability that chance gives as much evidence that `at_least` of n studies have an effect.
+def sum_evidence(drops: ArrayLike, numbers: ArrayLike, at_least: int = 1) -> float:
+    """The probability that chance gives as much evidence that `at_least` of n studies have an
+    effect.
 
-    drops: (n,) chi-square statistics, of `numbers` (n,) degrees of freedom each. For one study
+    `drops` (n,) are chi-square statistics of `numbers` (n,) degrees of freedom each. For one study
     their sum is chi-square's; for more, the strongest but one less than `at_least` of them are left
     out (Benjamini and Heller's partial conjunction), so that a few cannot speak for all.
     """
@@ -110,16 +130,19 @@ def summed(drops: ArrayLike, numbers: ArrayLike, at_least: int = 1) -> float:
     return float(scipy.stats.chi2.sf(x[rest].sum(), k[rest].sum()))
 
 
-def sharing(drops: ArrayLike, numbers: ArrayLike, level: float) -> int:
-    """How many studies have an effect at least, each claim below `level`."""
+def count_sharing(drops: ArrayLike, numbers: ArrayLike, level: float) -> int:
+    """How many studies have an effect at least, each such claim with a p-value below `level`.
+
+    The arguments are those of `sum_evidence`.
+    """
     found = 0
     for u in range(1, len(np.asarray(drops)) + 1):
-        if summed(drops, numbers, u) >= level:
+        if sum_evidence(drops, numbers, u) >= level:
             break
         found = u
     return found
 
 
-def of_probability(p: float, numbers: int) -> float:
-    """The chi-square of so many degrees of freedom that chance exceeds with this probability."""
+def to_chi_square(p: float, numbers: int) -> float:
+    """The chi-square of so many degrees of freedom that chance exceeds with probability p."""
     return float(scipy.stats.chi2.isf(min(max(p, 1e-300), 1.0), numbers))

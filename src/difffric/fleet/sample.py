@@ -1,4 +1,4 @@
-"""What of a rig's files a diagnosis looks at: so many pushes, spread over dates and speeds."""
+"""A sample of a rig's pushes for its diagnosis, spread over dates and speeds."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from difffric.errors import InputError
-from difffric.fleet.archive import Source
+from difffric.fleet.archive import ArchiveFile
 from difffric.measurements.load_file import load
 from difffric.measurements.pushes import COLUMNS, Pushes
-from difffric.measurements.recordings import Recordings
+from difffric.measurements.recordings import Recording, Recordings
 
 MOST = 40
-"""Pushes of a rig that are looked at: a diagnosis takes time in proportion."""
+"""Pushes of a rig that are looked at: a diagnosis takes time in proportion to them."""
 MOST_FILES = 60
-"""Files of a rig that are opened."""
+"""Files of a rig that are opened: more than `MOST`, as some files hold no good push."""
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,14 @@ class Sample:
     """what was left out, and why"""
 
 
-def sample(sources: Sequence[Source], most: int = MOST) -> Sample:
-    """At most so many pushes of one rig's files, the same ones each time.
+def sample(sources: Sequence[ArchiveFile], most: int = MOST) -> Sample:
+    """Choose at most `most` pushes of one rig's files, the same ones each time.
 
     A diagnosis takes one kind of data: recordings where there are any, else tables. Of many files
     those evenly spread over their dates are opened; of many pushes those evenly spread over time at
-    each speed are kept, the speeds in turn. Raises `InputError` where no file can be used.
+    each speed are kept, the speeds in turn.
+
+    Raises `InputError` where no file can be used.
     """
     ordered = sorted(sources, key=lambda s: (s.changed, s.name))
     kind = ".tdms" if any(s.path.lower().endswith(".tdms") for s in ordered) else ".csv"
@@ -45,7 +47,7 @@ def sample(sources: Sequence[Source], most: int = MOST) -> Sample:
     notes = []
     if len(mine) < len(ordered):
         notes.append("tables are left out: recordings say more")
-    opened = [mine[i] for i in spread(len(mine), MOST_FILES)]
+    opened = [mine[i] for i in spread_evenly(len(mine), MOST_FILES)]
     if len(opened) < len(mine):
         notes.append(f"{len(opened)} of {len(mine)} files are looked at")
     parts, problems = [], []
@@ -64,49 +66,56 @@ def sample(sources: Sequence[Source], most: int = MOST) -> Sample:
         if pushed and len(pushed) < len(parts):
             notes.append(f"{len(parts) - len(pushed)} tables of free slides are left out")
         parts = pushed or parts
-    whole = parts[0] if len(parts) == 1 else _joined(parts)
-    keep = over_speeds(_speeds(whole), most)
+    whole = parts[0] if len(parts) == 1 else _join(parts)
+    keep = choose_over_speeds(_read_speeds(whole), most)
     if len(keep) < len(whole):
         notes.append(f"{len(keep)} of {len(whole)} pushes are looked at")
     return Sample(whole.select(keep), len(parts), (*notes, *problems))
 
 
-def spread(n: int, most: int) -> NDArray:
-    """At most so many of n places, evenly spread, first and last among them."""
+def spread_evenly(n: int, most: int) -> NDArray:
+    """Choose at most `most` of the indices 0 to n - 1, evenly spread, first and last among them."""
     return np.arange(n) if n <= most else np.unique(np.linspace(0, n - 1, most).round().astype(int))
 
 
-def over_speeds(v: NDArray, most: int) -> NDArray:
-    """(at most `most`,) numbers of the pushes to keep, of speeds v (n,): as many of each speed as
-    may be, evenly spread over their order. Of more speeds than pushes, evenly spread ones."""
+def choose_over_speeds(v: NDArray, most: int) -> NDArray:
+    """Choose at most `most` of n pushes by their speeds v (n,) and return their indices, sorted.
+
+    Each speed gets as equal a share as may be, evenly spread over the order of its pushes. Where
+    there are more speeds than `most`, evenly spread ones are taken.
+    """
     if len(v) <= most:
         return np.arange(len(v))
     speeds = np.unique(np.round(v, 9))
-    speeds = speeds[spread(len(speeds), most)]
+    speeds = speeds[spread_evenly(len(speeds), most)]
     groups = [np.flatnonzero(np.round(v, 9) == x) for x in speeds]
     share = np.zeros(len(groups), int)
     while share.sum() < most and any(share[i] < len(g) for i, g in enumerate(groups)):
         for i in sorted(range(len(groups)), key=lambda i: (share[i], i)):
             if share[i] < len(groups[i]) and share.sum() < most:
                 share[i] += 1
-    chosen = [g[spread(len(g), int(s))] if s > 1 else g[:s]
-              for g, s in zip(groups, share, strict=True)]  # fmt: skip
+    chosen = [
+        g[spread_evenly(len(g), int(s))] if s > 1 else g[:s]
+        for g, s in zip(groups, share, strict=True)
+    ]
     return np.sort(np.concatenate(chosen))
 
 
-def _speeds(data: Pushes | Recordings) -> NDArray:
+def _read_speeds(data: Pushes | Recordings) -> NDArray:
+    """The speed of each push (n,) [m/s], of a free slide its speed at release."""
     if isinstance(data, Recordings):
         return np.array([push.velocity for push in data])
     return np.asarray(data.release_velocity if data.free_slides else data.velocity)
 
 
-def _joined(parts: Sequence[Any]) -> Any:
-    """Files one after the other; each file's own order within."""
+def _join(parts: Sequence[Any]) -> Any:
+    """Put the pushes of several files of one kind together: the files one after the other, the
+    pushes of each in its own order."""
     if isinstance(parts[0], Recordings):
         pushes = [push for part in parts for push in _in_order(part, [p.order for p in part])]
         numbered = tuple(replace(push, order=float(i)) for i, push in enumerate(pushes))
         return replace(parts[0], pushes=numbered, source="", skipped=())
-    ordered = [p.select(_order(p.order)) for p in parts]
+    ordered = [p.select(_find_order(p.order)) for p in parts]
     columns: dict[str, Any] = {
         name: np.concatenate([getattr(p, name) for p in ordered])
         for name in COLUMNS
@@ -116,10 +125,11 @@ def _joined(parts: Sequence[Any]) -> Any:
     return Pushes(**columns, condition=condition, order=np.arange(len(condition), dtype=float))
 
 
-def _order(order) -> NDArray:
+def _find_order(order: ArrayLike) -> NDArray:
+    """Indices that sort pushes by their `order`; as they stand where some have none."""
     x = np.asarray(order, float)
     return np.argsort(x, kind="stable") if np.isfinite(x).all() else np.arange(len(x))
 
 
-def _in_order(part: Recordings, order) -> list:
-    return [part.pushes[i] for i in _order(order)]
+def _in_order(part: Recordings, order: ArrayLike) -> list[Recording]:
+    return [part.pushes[i] for i in _find_order(order)]

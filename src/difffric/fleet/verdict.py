@@ -1,4 +1,4 @@
-"""What a fleet's diagnosis says: the effects that rigs share, the rigs that differ, in words."""
+"""A fleet's diagnosis in words: the effects that rigs share, and the rigs that differ."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from difffric.rig.catalogue import CATALOGUE
 _HETEROGENEOUS = 0.01
 """p-value of Cochran's Q below which a shared size is said to differ from rig to rig."""
 LINES = 12
-"""Differences that have a line of their own."""
+"""Differences that have a line of their own; more would not fit on a terminal."""
 _MANY = 6
-"""Rigs that a line names one by one."""
+"""Rigs that a line names one by one; more would not fit in it."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +39,11 @@ class FleetDiagnosis:
     """rigs that were held against a shared effect in this run"""
 
     def __str__(self) -> str:
-        return "\n".join(["[[Fleet diagnosis]]", *(f"    {line}" for line in lines(self))])
+        return "\n".join(["[[Fleet diagnosis]]", *(f"    {line}" for line in summarise(self))])
 
 
-def lines(found: FleetDiagnosis) -> list[str]:
-    """What a person reads first."""
+def summarise(found: FleetDiagnosis) -> list[str]:
+    """Return the lines that a person reads first."""
     n, every = len(found.answers), list(found.found.shared)
     out = []
     if n == 1:
@@ -54,9 +54,11 @@ def lines(found: FleetDiagnosis) -> list[str]:
             out.append(f"Its causes: {', '.join(named)}.")
     elif not every:
         out.append(f"{n} rigs share no effect that their pushes show.")
-    out += [_line(one, n) for one in every]
+    out += [_describe_shared(one, n) for one in every]
     if n > 1:
-        out += [f"Rig {x.rig} differs: {told(found, x)}." for x in found.differ[:LINES]]
+        out += [
+            f"Rig {x.rig} differs: {describe_difference(found, x)}." for x in found.differ[:LINES]
+        ]
         if len(found.differ) > LINES:
             out.append(f"So do others, {len(found.differ) - LINES} times, listed below.")
         if not found.differ:
@@ -64,27 +66,28 @@ def lines(found: FleetDiagnosis) -> list[str]:
     elif found.found.unexplained:
         out.append("Its misfit is unexplained.")
     if found.bad:
-        rigs = _listed([rig for rig, _ in found.bad])
+        rigs = _list_rigs([rig for rig, _ in found.bad])
         count = "1 rig" if len(found.bad) == 1 else f"{len(found.bad)} rigs"
         out.append(f"{count} could not be diagnosed: {rigs}.")
     return out
 
 
-def _line(one: Shared, n: int) -> str:
-    sizes = ", ".join(f"{key} = {_size(x)}" for key, x in one.parameters.items())
-    told = f"{one.effect}" + (f" ({sizes})" if sizes else "")
+def _describe_shared(one: Shared, n: int) -> str:
+    """Return a sentence on a shared effect in a fleet of n rigs."""
+    sizes = ", ".join(f"{key} = {_word_size(x)}" for key, x in one.parameters.items())
+    effect = f"{one.effect}" + (f" ({sizes})" if sizes else "")
     if one.by == CAUSES:
-        line = f"{len(one.rigs)} of {n} rigs share {told}"
+        line = f"{len(one.rigs)} of {n} rigs share {effect}"
         if not one.common:
-            line += f": {_listed(one.rigs)}"
+            line += f": {_list_rigs(one.rigs)}"
     else:
         line = (
-            f"At least {one.row.at_least} of {n} rigs share {told}, which all of them show "
+            f"At least {one.row.at_least} of {n} rigs share {effect}, which all of them show "
             "together and too weakly to be named in each"
         )
     known = [rig for rig, mark in one.row.marks.items() if mark == KNOWN]
     if known:
-        line += f"; it stands in the set-up of {_listed(known)} already"
+        line += f"; it stands in the set-up of {_list_rigs(known)} already"
     if one.alike:
         line += f"; {' or '.join(one.alike)} would do as well"
     if any(x.p_value < _HETEROGENEOUS for x in one.parameters.values()):
@@ -92,23 +95,24 @@ def _line(one: Shared, n: int) -> str:
     return line + "."
 
 
-def _size(x: Pooled) -> str:
+def _word_size(x: Pooled) -> str:
     value, error = format_pair(x.value, x.standard_error)
     return f"{value} ± {error}"
 
 
-def _listed(rigs: Sequence[str]) -> str:
+def _list_rigs(rigs: Sequence[str]) -> str:
+    """Name rigs in alphabetical order, and count those beyond `_MANY`."""
     rest = len(rigs) - _MANY
     return ", ".join(sorted(rigs)[:_MANY]) + (f" and {rest} more" if rest > 0 else "")
 
 
-def text_of(effect: str) -> str:
-    """An effect in words."""
+def describe_effect(effect: str) -> str:
+    """Return what an effect is, in words."""
     return CATALOGUE[effect].text if effect in CATALOGUE else "mu_k / mu_s is not the set-up's"
 
 
-def told(found: FleetDiagnosis, x: Different) -> str:
-    """How a rig differs, in words."""
+def describe_difference(found: FleetDiagnosis, x: Different) -> str:
+    """Return how a rig differs, in words."""
     if x.effect is None:
         location = found.answers[x.rig]["diagnosis"]["location"]
         where = f", and sits in: {location.replace('_', ' ')}" if location else ""
@@ -126,9 +130,8 @@ def told(found: FleetDiagnosis, x: Different) -> str:
     if x.how == SIZE:
         key = min(one.odd[x.rig], key=lambda k: one.odd[x.rig][k])
         own = " ± ".join(format_pair(*one.sizes[key][x.rig]))
-        return (
-            f"its {key} of {x.effect} is {own}, the others' {_size(one.parameters[key])} (p = {p})"
-        )
+        others = _word_size(one.parameters[key])
+        return f"its {key} of {x.effect} is {own}, the others' {others} (p = {p})"
     excess = format_number(found.excess[x.effect, x.rig], 3)
     return (
         f"it has no {x.effect}, and would have shown it: with the others' size -2 log L is "

@@ -17,37 +17,39 @@ ONE_THREAD = {
     "NPROC": "1",  # XLA's thread pool
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "1e9",  # a kill would leave it half-written
 }
-"""A worker's surroundings: as many workers as cores, each on one of them. JAX's cache it only
-reads."""
-_LIVES = 10
-"""How often a task may lose its worker before it is taken to be the one that kills it."""
-
+"""Environment of a worker: there are as many workers as cores, so each keeps to one thread. It
+reads JAX's cache of compiled programs and does not write it."""
+ALLOWED_FAILURES = 10
+"""Dask's `allowed-failures`: a task that has lost its worker this often is taken to be what kills
+it. More than dask's own 3, as workers are also killed for reasons that are not the task's."""
 PATIENCE = 30
-"""How long a scheduler may take to answer [s]."""
+"""How long a scheduler may take to answer [s]: enough for one that is just being started."""
 
 
 class Lost(Exception):
-    """A task whose worker died, again and again."""
+    """Stands for the answer of a task whose worker died each time, again and again."""
 
 
 class Runner(Protocol):
-    """Runs tasks; yields (task, what `function` made of it or the exception `Lost`), in the order
-    in which they end."""
+    """Runs tasks. Yields each task with what `function` returned for it, or with a `Lost`, in the
+    order in which they end."""
 
     def __call__(self, function: Callable, tasks: Iterable) -> Iterator[tuple[Any, Any]]: ...
 
 
 @contextmanager
-def workers(n: int = 1, scheduler: str | None = None) -> Iterator[Runner]:
-    """A runner: of this process for one worker, of n new ones, or of a scheduler's own.
+def start_workers(n: int = 1, scheduler: str | None = None) -> Iterator[Runner]:
+    """Yield a runner: in this process for n = 1, on n new processes, or on the workers of a dask
+    `scheduler` (its address).
 
-    New processes are spawned: a fork would copy the locks of this one's threads. They end with it,
-    also where it is killed. A script that asks for them needs `if __name__ == "__main__":`.
+    New processes are spawned, as a fork would copy the locks of this one's threads. They end with
+    this process, also where it is killed. A script that asks for them needs
+    `if __name__ == "__main__":`.
 
     Raises `InputError` without dask.distributed, and for a scheduler that does not answer.
     """
     if scheduler is None and n == 1:
-        yield _here
+        yield _run_here
         return
     try:
         import dask.config
@@ -58,7 +60,7 @@ def workers(n: int = 1, scheduler: str | None = None) -> Iterator[Runner]:
             "pip install 'difffric[fleet]', or --workers 1"
         ) from None
     dask.config.set({"distributed.worker.multiprocessing-method": "spawn"})
-    dask.config.set({"distributed.scheduler.allowed-failures": _LIVES})
+    dask.config.set({"distributed.scheduler.allowed-failures": ALLOWED_FAILURES})
     dask.config.set({"distributed.admin.large-graph-warning-threshold": "1GB"})
     dask.config.set({"logging.distributed": "critical"})
     cluster = None
@@ -67,35 +69,36 @@ def workers(n: int = 1, scheduler: str | None = None) -> Iterator[Runner]:
             local: Any = distributed.LocalCluster
             cluster = local(
                 n_workers=n, threads_per_worker=1, processes=True, dashboard_address=None,
-                memory_limit=0, env={**_own(), **ONE_THREAD}, silence_logs=50,
+                memory_limit=0, env={**_copy_settings(), **ONE_THREAD}, silence_logs=50,
             )  # fmt: skip
         client = distributed.Client(cluster or scheduler, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
         words = " ".join(str(error).split())
         raise InputError(f"{scheduler or 'workers'}: no scheduler answers: {words}") from None
     try:
-        yield lambda function, tasks: _there(client, function, tasks)
+        yield lambda function, tasks: _run_on(client, function, tasks)
     finally:
         client.close()
         if cluster is not None:
             cluster.close()
 
 
-def _own() -> dict[str, str]:
-    """What the command line has set for JAX."""
+def _copy_settings() -> dict[str, str]:
+    """Return the environment variables by which the command line has set up JAX."""
     names = ("JAX_", "EQX_", "DIFFFRIC_")
     return {name: x for name, x in os.environ.items() if name.startswith(names)}
 
 
-def _here(function: Callable, tasks: Iterable) -> Iterator[tuple[Any, Any]]:
+def _run_here(function: Callable, tasks: Iterable) -> Iterator[tuple[Any, Any]]:
+    """The runner of this process: one task after the other."""
     for task in tasks:
         yield task, function(task)
 
 
-def _there(client, function: Callable, tasks: Iterable) -> Iterator[tuple[Any, Any]]:
-    """As tasks end; a few more are under way than there are workers, so that none waits and the
-    tasks need not all be in memory."""
-    import distributed
+def _run_on(client: Any, function: Callable, tasks: Iterable) -> Iterator[tuple[Any, Any]]:
+    """The runner of a dask cluster. A few more tasks are under way than there are workers, so that
+    none waits, and the tasks need not all be in memory."""
+    import distributed  # an optional dependency
 
     rest, of = iter(tasks), {}
     done = distributed.as_completed(loop=client.loop)

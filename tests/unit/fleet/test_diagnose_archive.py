@@ -16,11 +16,18 @@ from difffric.commands.main import app
 from difffric.commands.reports.fleet_diagnosis import fleet_diagnosis_answer, fleet_diagnosis_report
 from difffric.commands.reports.page import render
 from difffric.fleet import diagnose_archive, member
-from difffric.fleet.archive import find
+from difffric.fleet.archive import find_files
 from difffric.fleet.diagnose_archive import diagnose_fleet
-from difffric.fleet.meta_analysis import holm, left_out, odd_ones, pooled, sharing, summed
-from difffric.fleet.sample import MOST, over_speeds, sample
-from difffric.fleet.shared_effects import SIGNIFICANT, combined, differing
+from difffric.fleet.meta_analysis import (
+    compare_each_with_rest,
+    correct_by_holm,
+    count_sharing,
+    find_odd_ones,
+    pool,
+    sum_evidence,
+)
+from difffric.fleet.sample import MOST, choose_over_speeds, sample
+from difffric.fleet.shared_effects import SIGNIFICANT, combine, find_different
 from difffric.fleet.verdict import FleetDiagnosis
 from tests.browser import WIDTHS, browser, faults, needs_chromium
 from tests.hidden import random_case, write
@@ -40,7 +47,7 @@ def test_a_pooled_size_is_that_of_generalised_least_squares():
     for spread in (0.0, 3.0):
         s = rng.uniform(0.2, 1.0, 9)
         x = 5.0 + spread * rng.standard_normal(9) + s * rng.standard_normal(9)
-        found = pooled(x, s)
+        found = pool(x, s)
         C = np.diag(s**2 + found.between**2)
         A = np.ones((9, 1))
         information = A.T @ np.linalg.solve(C, A)
@@ -57,7 +64,7 @@ def test_a_pooled_size_is_that_of_generalised_least_squares():
 
 
 def test_one_study_is_itself():
-    found = pooled([2.0], [0.5])
+    found = pool([2.0], [0.5])
     assert (found.value, found.standard_error, found.between, found.p_value) == (2.0, 0.5, 0.0, 1.0)
 
 
@@ -70,7 +77,7 @@ def test_of_rigs_without_an_effect_the_summed_evidence_is_uniform():
     rng = np.random.default_rng(2)
     numbers = np.array([1, 1, 2, 1, 3, 1])
     drops = rng.chisquare(numbers, (3000, 6))
-    assert uniform([summed(x, numbers) for x in drops])
+    assert uniform([sum_evidence(x, numbers) for x in drops])
 
 
 def test_evidence_for_two_rigs_is_uniform_where_one_alone_has_the_effect():
@@ -79,16 +86,16 @@ def test_evidence_for_two_rigs_is_uniform_where_one_alone_has_the_effect():
     drops = rng.chisquare(1, (3000, 6))
     drops[:, 2] += 1e4
     ones = np.ones(6)
-    assert uniform([summed(x, ones, 2) for x in drops])
-    assert np.mean([sharing(x, ones, 0.05) > 1 for x in drops]) < 0.06
-    assert min(sharing(x, ones, 0.05) for x in drops[:50]) == 1
-    assert summed([3.0], [1], 2) == 1.0
+    assert uniform([sum_evidence(x, ones, 2) for x in drops])
+    assert np.mean([count_sharing(x, ones, 0.05) > 1 for x in drops]) < 0.06
+    assert min(count_sharing(x, ones, 0.05) for x in drops[:50]) == 1
+    assert sum_evidence([3.0], [1], 2) == 1.0
 
 
 def test_weak_evidence_of_many_is_strong():
     drops, ones = np.full(12, 5.0), np.ones(12)
-    assert stats.chi2.sf(5.0, 1) > 0.02 > 1e-4 > summed(drops, ones, 2)
-    assert 2 <= sharing(drops, ones, 1e-3) < 12
+    assert stats.chi2.sf(5.0, 1) > 0.02 > 1e-4 > sum_evidence(drops, ones, 2)
+    assert 2 <= count_sharing(drops, ones, 1e-3) < 12
 
 
 @pytest.mark.parametrize("between", [0.0, 0.5, 3.0])
@@ -97,7 +104,9 @@ def test_what_the_others_foretell_of_a_study_is_right(between):
     rng, p = np.random.default_rng(4), []
     for _ in range(400):
         s = rng.uniform(0.5, 1.5, 8)
-        p += left_out(between * rng.standard_normal(8) + s * rng.standard_normal(8), s)[:2].tolist()
+        p += compare_each_with_rest(
+            between * rng.standard_normal(8) + s * rng.standard_normal(8), s
+        )[:2].tolist()
     for level in (0.01, 0.05, 0.2):
         assert 0.3 * level - 0.002 < np.mean(np.array(p) < level) < 1.3 * level + 0.01
 
@@ -105,7 +114,7 @@ def test_what_the_others_foretell_of_a_study_is_right(between):
 def test_of_studies_that_agree_none_is_odd():
     rng = np.random.default_rng(14)
     s = rng.uniform(0.5, 1.5, (250, 8))
-    assert np.mean([bool(odd_ones(e * rng.standard_normal(8), e, 0.05)) for e in s]) < 0.09
+    assert np.mean([bool(find_odd_ones(e * rng.standard_normal(8), e, 0.05)) for e in s]) < 0.09
 
 
 def test_the_odd_one_is_found_and_no_other():
@@ -113,16 +122,16 @@ def test_the_odd_one_is_found_and_no_other():
     s = np.full(6, 0.1)
     x = 1.0 + s * rng.standard_normal(6)
     x[3] += 1.0
-    assert list(odd_ones(x, s, 0.01)) == [3]
+    assert list(find_odd_ones(x, s, 0.01)) == [3]
     x[3], x[5] = x[3] + 40.0, x[5] + 3.0  # two, the second hidden by the first
-    assert list(odd_ones(x, s, 0.01)) == [3, 5]
-    assert odd_ones([1.0, 9.0], [0.1, 0.1], 0.01) == {}  # of two, neither
+    assert list(find_odd_ones(x, s, 0.01)) == [3, 5]
+    assert find_odd_ones([1.0, 9.0], [0.1, 0.1], 0.01) == {}  # of two, neither
     s[3] = 50.0  # one that hardly knows
-    assert 3 not in odd_ones(x, s, 0.01)
+    assert 3 not in find_odd_ones(x, s, 0.01)
 
 
 def test_holm():
-    np.testing.assert_allclose(holm([0.04, 0.01, 0.03]), [0.06, 0.03, 0.06])
+    np.testing.assert_allclose(correct_by_holm([0.04, 0.01, 0.03]), [0.06, 0.03, 0.06])
 
 
 # --- rigs' answers, made up -----------------------------------------------------------------------
@@ -164,9 +173,9 @@ def scored(at, visible):
 
 
 def verdict(answers, excess=None, bad=()):
-    found, excess = combined(answers), excess or {}
+    found, excess = combine(answers), excess or {}
     by_rig = {a["rig"]: a for a in answers}
-    differ = differing(found, excess)
+    differ = find_different(found, excess)
     return FleetDiagnosis(Path("out"), by_rig, found, excess, differ, tuple(bad))
 
 
@@ -237,11 +246,11 @@ def test_a_cause_that_no_other_has_and_an_unexplained_misfit_differ():
 def test_rigs_that_tell_two_effects_apart_decide_for_those_that_do_not():
     one = answer("a", cause("friction_ratio", 0.8, alike=["tilt"], key="ratio"))
     two = [answer(x, cause("tilt", 0.01, 0.001, key="alpha_rad")) for x in ("b", "c")]
-    (shared,) = combined([one, *two]).shared
+    (shared,) = combine([one, *two]).shared
     assert shared.effect == "tilt" and set(shared.rigs) == {"a", "b", "c"} and not shared.alike
     assert set(shared.sizes["alpha_rad"]) == {"b", "c"}  # what a says of its size is another's
     both = [answer(x, cause("tilt", alike=["friction_ratio"])) for x in ("b", "c")]
-    assert combined([one, *both]).shared[0].alike == ("friction_ratio",)
+    assert combine([one, *both]).shared[0].alike == ("friction_ratio",)
 
 
 def weak(rng, n, at, visible=4.0, effect="force_gain"):
@@ -264,7 +273,7 @@ def test_an_effect_too_weak_to_be_named_in_any_rig_is_found_in_all():
 
 def test_nothing_is_shared_where_nothing_is_there():
     rng = np.random.default_rng(9)
-    shared = [bool(combined(weak(rng, 8, at=0.0)).shared) for _ in range(60)]
+    shared = [bool(combine(weak(rng, 8, at=0.0)).shared) for _ in range(60)]
     assert not any(shared)
 
 
@@ -337,17 +346,17 @@ def archive(tmp_path):
 
 def test_a_sample_is_bounded_spread_and_always_the_same(tmp_path):
     v = np.repeat([1.0, 2.0, 3.0], [100, 5, 60])
-    keep = over_speeds(v, 30)
+    keep = choose_over_speeds(v, 30)
     assert len(keep) == 30 and (np.diff(keep) > 0).all()
     assert [int((v[keep] == x).sum()) for x in (1, 2, 3)] == [13, 5, 12]
     assert keep[0] == 0 and keep[-1] == 164
-    assert len(over_speeds(np.linspace(1, 2, 500), 40)) == 40
-    assert over_speeds(v[:9], 30).tolist() == list(range(9))
+    assert len(choose_over_speeds(np.linspace(1, 2, 500), 40)) == 40
+    assert choose_over_speeds(v[:9], 30).tolist() == list(range(9))
     files.write_setup(tmp_path / "setup.toml", RIG)
     for day in range(4):
         table(tmp_path / f"day{day}.csv", day, 16)
     (tmp_path / "torn.csv").write_text("velocity_mm_min\nfast\n")
-    one, two = sample(find(tmp_path)), sample(find(tmp_path))
+    one, two = sample(find_files(tmp_path)), sample(find_files(tmp_path))
     assert len(one.data) == MOST and one.notes == two.notes
     assert np.array_equal(one.data.peak_force, two.data.peak_force)
     assert (np.diff(one.data.order) > 0).all()
@@ -363,7 +372,7 @@ def test_recordings_go_before_tables_in_the_order_of_their_dates(tmp_path):
         recorded = [data.record(p, rng) for p in data.make_pushes(RIG, rng, 3, SPEEDS)]
         files.write_recordings(tmp_path / f"{day}.tdms", recorded)
         os.utime(tmp_path / f"{day}.tdms", (when, when))
-    one = sample(find(tmp_path))
+    one = sample(find_files(tmp_path))
     said = [df.load(tmp_path / f"{day}.tdms") for day in ("old", "new")]
     speeds = [p.velocity for part in said for p in part]
     assert [p.velocity for p in one.data] == speeds and one.files == 2
@@ -383,11 +392,11 @@ def quick(monkeypatch):
         made = answer(rig.name, *[cause("stribeck", 0.02, 0.001)] * (rig.name < "c"))
         Path(rig.folder).mkdir(parents=True, exist_ok=True)
         (Path(rig.folder) / member.SETUP).write_text("")
-        member._keep(Path(rig.folder) / member.RESULT, rig.key, made)
+        member._save_answer(Path(rig.folder) / member.RESULT, rig.key, made)
 
     def ask(question):
         done.append((question.effect, question.rig.name))
-        member._keep(question.path, question.key, {"excess": 40.0})
+        member._save_answer(question.path, question.key, {"excess": 40.0})
 
     monkeypatch.setattr(diagnose_archive, "examine", examine)
     monkeypatch.setattr(diagnose_archive, "ask", ask)

@@ -17,7 +17,7 @@ from nptdms import TdmsFile, TdmsWriter
 
 import difffric as df
 from difffric.fleet import identify_archive, workers
-from difffric.fleet.archive import find
+from difffric.fleet.archive import find_files
 from difffric.fleet.columns import friction
 from difffric.fleet.identify_archive import data_set, identify_fleet
 from difffric.identification.estimates import WAYS
@@ -141,7 +141,7 @@ def test_no_push_depends_on_those_beside_it(whole):
         setup = read_setup(
             next(iter(whole.folder.parent.parent.glob(f"*/archive/{name[0]}/setup.toml")))
         )
-        parts[name[0]] = setup, identify_archive.features.pushes_of(rows)
+        parts[name[0]] = setup, identify_archive.features.to_pushes(rows)
     together = pl.concat(friction(list(parts.values())))
     single = [friction([(s, p.select([i]))])[0] for s, p in parts.values() for i in range(len(p))]
     assert together.equals(pl.concat(single))
@@ -276,7 +276,7 @@ def test_a_file_belongs_to_the_nearest_setup_upwards(tmp_path):
     for name in names:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
-    found = find(tmp_path, out=tmp_path / "x/out")
+    found = find_files(tmp_path, out=tmp_path / "x/out")
     assert {s.name: s.rig for s in found} == {
         "x/1.tdms": "x",
         "x/z/2.CSV": "x",
@@ -285,12 +285,12 @@ def test_a_file_belongs_to_the_nearest_setup_upwards(tmp_path):
     (tmp_path / "w").mkdir()
     (tmp_path / "w/7.tdms").touch()
     with pytest.raises(df.InputError, match=r"w/7\.tdms: no setup\.toml in its folder or above"):
-        find(tmp_path)
-    assert find(tmp_path, tmp_path / "given.toml")[0].rig == "w"
-    assert [s.name for s in find(tmp_path / "x" / "**" / "*.tdms")] == ["1.tdms", "y/3.tdms"]
-    assert find(tmp_path / "x")[0].rig == "."
+        find_files(tmp_path)
+    assert find_files(tmp_path, tmp_path / "given.toml")[0].rig == "w"
+    assert [s.name for s in find_files(tmp_path / "x" / "**" / "*.tdms")] == ["1.tdms", "y/3.tdms"]
+    assert find_files(tmp_path / "x")[0].rig == "."
     with pytest.raises(df.InputError, match="found none"):
-        find(tmp_path / "q*.tdms")
+        find_files(tmp_path / "q*.tdms")
 
 
 def test_a_recording_says_its_date_itself(made, tmp_path):

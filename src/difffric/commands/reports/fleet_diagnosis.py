@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.fleet.diagnose_archive import RIGS
-from difffric.fleet.identify_archive import escaped
+from difffric.fleet.identify_archive import escape
 from difffric.fleet.shared_effects import (
     CAUSES,
     KNOWN,
@@ -15,7 +15,13 @@ from difffric.fleet.shared_effects import (
     Row,
     Shared,
 )
-from difffric.fleet.verdict import LINES, FleetDiagnosis, lines, text_of, told
+from difffric.fleet.verdict import (
+    LINES,
+    FleetDiagnosis,
+    describe_difference,
+    describe_effect,
+    summarise,
+)
 from difffric.number_text import format_number, format_pair
 
 
@@ -31,17 +37,17 @@ def fleet_diagnosis_answer(found: FleetDiagnosis) -> dict:
                 **{key: a[key] for key in ("files", "files_used", "pushes", "recordings")},
                 "verdict": a["diagnosis"]["verdict"],
                 "causes": [c["id"] for c in causes],
-                "differs": [told(found, x) for x in found.differ if x.rig == rig],
+                "differs": [describe_difference(found, x) for x in found.differ if x.rig == rig],
                 "left_out": a["left_out"],
-                "result": f"{RIGS}/{escaped(rig)}/result.json",
+                "result": f"{RIGS}/{escape(rig)}/result.json",
             }
         )
     return {
-        "lines": lines(found),
+        "lines": summarise(found),
         "shared": [_shared(found, one) for one in found.found.shared],
         "differ": [
             {"rig": x.rig, "effect": x.effect, "how": x.how, "p_value": x.p_value,
-             "text": told(found, x)}
+             "text": describe_difference(found, x)}
             for x in found.differ
         ],
         "rigs": rigs,
@@ -69,7 +75,7 @@ def _effect(row: Row) -> dict:
 def _shared(found: FleetDiagnosis, one: Shared) -> dict:
     return {
         "id": one.effect,
-        "text": text_of(one.effect),
+        "text": describe_effect(one.effect),
         "by": one.by,
         "confusable_with": list(one.alike),
         "rigs": sorted(one.rigs),
@@ -115,7 +121,7 @@ def fleet_diagnosis_report(found: FleetDiagnosis, pictures: bool) -> Report:
     columns = ("rig", "files", "pushes", "verdict", "causes", "differs by")
     tables = [Table("By rig", columns, rows)]
     if len(found.differ) > LINES:
-        every = [[x.rig, told(found, x)] for x in found.differ]
+        every = [[x.rig, describe_difference(found, x)] for x in found.differ]
         tables.append(Table("Rigs that differ", ("rig", "how"), every))
     sections.append(Section("Rigs", (), tables, drawn))
     sections.append(Section("Evidence", (_EVIDENCE,), [_evidence(found)]))
@@ -124,7 +130,7 @@ def fleet_diagnosis_report(found: FleetDiagnosis, pictures: bool) -> Report:
     if left_out:
         table = Table("What could not be used, or was left out", ("rig", "why"), left_out)
         sections.append(Section("Left out", (), [table]))
-    return Report("A fleet's diagnosis", lines(found), sections)
+    return Report("A fleet's diagnosis", summarise(found), sections)
 
 
 _CAPTION = (
