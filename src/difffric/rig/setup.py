@@ -35,6 +35,8 @@ class Setup:
     mu_s_scatter: float | None = None
     """relative standard deviation of mu_s from push to push; None: not known"""
     extras: Mapping[str, Extras] = field(default_factory=dict)
+    text: str = field(default="", compare=False, repr=False)
+    """of the file that it was read from: a new file keeps its comments and layout"""
 
 
 def check_rig(rig: Rig) -> Rig:

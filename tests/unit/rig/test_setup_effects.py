@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tomlkit  # noqa: F401  so that no timed example pays for its import
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -13,18 +13,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given
+import tomlkit  # noqa: F401  so that no timed example pays for its import
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from difffric import units
 from difffric.errors import InputError
+from difffric.rig import catalogue
 from difffric.rig.contact import AbstractContact
 from difffric.rig.pusher import ConstantSpeed
 from difffric.rig.quantities import QUANTITIES
 from difffric.rig.rig import Rig, spring_damper_rig
 from difffric.rig.sensors import ForceSensor, Probe
 from difffric.rig.setup import Extras, Setup, check_rig
-from difffric.rig.setup_toml import load_setup, read_setup, write_setup
+from difffric.rig.setup_toml import (
+    format_setup,
+    load_setup,
+    parse_setup,
+    read_setup,
+    write_setup,
+)
 
 MINIMAL = """\
 [part]
@@ -509,6 +517,66 @@ rate_Hz = 200000.0
 resolution_um = 0.02
 """
     )
+
+
+def test_comments_and_layout_stay_where_numbers_change(file, tmp_path):
+    setup = read_setup(file(f"# the left bench\n{FULL}# end\n"))
+    rig = eqx.tree_at(lambda r: (r.friction.mu_s, r.force_sensor.noise), setup.rig, (0.2, None))
+    rig = catalogue.extended(rig, {"tilt": {"alpha_rad": 0.01}})
+    extras = {"k_N_per_m": Extras(2e3, True), "tilt.alpha_rad": Extras(1e-3)}
+    changed = dataclasses.replace(setup, rig=rig, extras=extras)
+    write_setup(changed, tmp_path / "other.toml")
+    text = (tmp_path / "other.toml").read_text()
+    old, new = FULL.splitlines(), text.splitlines()
+    assert new[0] == "# the left bench" and "# end" in new
+    gone = {line.partition("#")[0].strip() for line in old} - {
+        line.partition("#")[0].strip() for line in new
+    }
+    assert gone == {"mu_s = 0.141", "k_N_per_m = 8.0e5", "noise_N = 0.5"}
+    assert [line.partition("#")[2] for line in new if "#" in line][1:-1] == [
+        line.partition("#")[2] for line in old if "#" in line
+    ]
+    assert "k_N_per_m = { value = 800000.0, standard_error = 2000.0, free = true }" in text
+    assert "[effects.tilt]\nalpha_rad = { value = 0.01, standard_error = 0.001 }\n" in text
+    assert read_setup(tmp_path / "other.toml") == changed
+
+
+def test_a_replaced_file_keeps_its_comments(file):
+    path = file("# mine\n" + MINIMAL.replace("1500", "1500 # guessed"))
+    write_setup(spring_damper_rig(mass=18.9, mu_s=0.141, k=8e5, b=1400.0), path)
+    assert path.read_text().startswith("# mine\n[part]\nmass_kg = 18.9\n")
+    assert "\nb_N_s_per_m = 1400.0 # guessed\n" in path.read_text()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "no TOML [",
+        "part = 3\n",
+        "[contact.k_N_per_m]\nvalue = 3 # a table of its own\n[friction]\nmu_s.value = 3\n",
+        "[effects.tilt]\nalpha_rad = 1\n[part]\nmass_kg = 1\n[effects.stribeck]\nv_s_m_per_s = 1",
+        '"part".mass_kg = 3\n',
+        "effects = 1",
+    ],
+)
+def test_whatever_it_replaces_a_file_says_what_the_setup_does(file, text):
+    path = file(text)
+    rig = spring_damper_rig(mass=18.9, mu_s=0.141, k=8e5, b=1400.0, stroke=2e-3)
+    for one in (rig, catalogue.extended(rig, {"tilt": {"alpha_rad": 0.01}})):
+        write_setup(one, path)
+        assert load_setup(path) == one
+
+
+@settings(max_examples=30)
+@given(rigs, st.dictionaries(required, extras))
+def test_the_layout_of_any_file_carries_any_setup(rig, extras):
+    setup = Setup(rig, None, extras, FULL)
+    text = format_setup(setup)
+    assert parse_setup(text) == setup
+    for line in FULL.splitlines():
+        key, _, comment = line.partition(" ")
+        if "#" in comment and f"\n{key} " in f"\n{text}":
+            assert comment[comment.index("#") :] in text
 
 
 def test_jax_and_numpy_numbers_are_written(tmp_path):
