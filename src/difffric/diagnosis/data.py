@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.calibration.result import Fit
-from difffric.estimation.blocks import stacked_blocks
+from difffric.estimation.block_means import stack_uneven
 from difffric.estimation.effect_coordinates import PLAIN, Coordinates
 from difffric.estimation.ensemble import Fits, Task
 from difffric.estimation.extended_model import (
@@ -73,7 +73,7 @@ def prepare_data(
     else:
         values = parameters.values(rig)
         frequency = np.sqrt(float(values["k_N_per_m"]) / mass.min())
-        data = stacked_blocks(reduction.recordings, reduction.details, strokes, frequency)
+        data = stack_uneven(reduction.recordings, reduction.details, strokes, frequency)
         counts = np.stack([(blocks.a > 0).sum(axis=1) for blocks in data], axis=1).astype(float)
         open_ = (False, False)
         left_out, kind = NOT_IN_RECORDINGS, RECORDINGS

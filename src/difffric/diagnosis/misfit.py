@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.diagnosis.data import DiagnosisData
-from difffric.estimation.blocks import Blocks
+from difffric.estimation.block_means import UnevenBlocks
 from difffric.estimation.ensemble import Fits
 from difffric.measurements.reduction.reduce import Reduced
 
@@ -154,7 +154,7 @@ def _collect_residuals(data: DiagnosisData, plain: Fits, extended: Fits) -> list
     return out
 
 
-def _find_middles(blocks: Blocks, i: int) -> NDArray:
+def _find_middles(blocks: UnevenBlocks, i: int) -> NDArray:
     """Return the (m,) middles of a push's blocks [s]."""
     return 0.5 * (blocks.t[i][blocks.first[i]] + blocks.t[i][blocks.second[i]])
 

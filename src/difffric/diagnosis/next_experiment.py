@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from difffric.diagnosis.data import DiagnosisData
 from difffric.estimation import ensemble as en
-from difffric.estimation.blocks import Blocks, blocks_of, stacked
+from difffric.estimation.block_means import UnevenBlocks, make_uneven, pad_uneven
 from difffric.estimation.ensemble import Fits, Task
 from difffric.estimation.extended_model import Pushes
 from difffric.measurements.recordings import Channel
@@ -131,9 +131,9 @@ def _make_blank_data(data: DiagnosisData, new: Pushes) -> Any:
             blank = None
             if channel is not None:
                 blank = Channel.of(np.zeros(int(end / channel.dt)), channel.dt, 0.0, channel.unit)
-            part.append(blocks_of(blank, noise, (0.0, stop), beside, np.inf, end, _LONGEST))
+            part.append(make_uneven(blank, noise, (0.0, stop), beside, np.inf, end, _LONGEST))
     sizes = [(b.y.shape[1], b.t.shape[1]) for b in old]
-    return tuple(stacked(p, *size) for p, size in zip(parts, sizes, strict=True))
+    return tuple(pad_uneven(p, *size) for p, size in zip(parts, sizes, strict=True))
 
 
 def _follow(task: Task, pushes: Pushes, fits: Fits, some: NDArray) -> tuple[Task, Fits]:
@@ -156,7 +156,7 @@ def _read(task: Task, blank: Pushes, truth: Fits, some: NDArray) -> Any:
     )
 
 
-def _undo_whitening(blocks: Blocks, white: NDArray) -> NDArray:
+def _undo_whitening(blocks: UnevenBlocks, white: NDArray) -> NDArray:
     """Return the (n, m) values whose whitened ones are `white`."""
     out = np.zeros_like(white)
     before = np.zeros(len(white))

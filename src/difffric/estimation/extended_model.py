@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from difffric.compute import pytrees
 from difffric.compute.xla_options import soon_compiled
-from difffric.estimation.blocks import Blocks
+from difffric.estimation.block_means import UnevenBlocks
 from difffric.estimation.effect_coordinates import Coordinates
 from difffric.rig import catalogue
 from difffric.rig.rig import Rig
@@ -55,7 +55,8 @@ class Pushes(NamedTuple):
     rest: Array
     """before the push [s]"""
     data: Any
-    """(force, position) of `Blocks`; or (measured (n, 2), 1 / standard error (n, 2)) of a table"""
+    """(force, position), both `UnevenBlocks`; or, of a table, (measured (n, 2), 1 / standard error
+    (n, 2))"""
 
 
 class Answer(NamedTuple):
@@ -79,11 +80,11 @@ def own_rig(coordinates: Coordinates, rig: Rig, push: Pushes, c) -> Rig:
     return coordinates.rig(rig, c, given, push.stroke)
 
 
-def _mean(blocks: Blocks, at_instants):
+def _mean(blocks: UnevenBlocks, at_instants):
     return 0.5 * (at_instants[blocks.first] + at_instants[blocks.second])
 
 
-def _white(blocks: Blocks, r):
+def _white(blocks: UnevenBlocks, r):
     before = jnp.concatenate([jnp.zeros_like(r[:1]), r[:-1]])
     return (blocks.a * r.T - blocks.b * before.T).T
 
@@ -109,7 +110,7 @@ def _recordings(coordinates, rig, pushes: Pushes, c, directions, steps: int) -> 
 
     ((f, x), model), (by, _) = _along(readings, c, directions)
 
-    def compared(blocks: Blocks, model, by, centred):
+    def compared(blocks: UnevenBlocks, model, by, centred):
         A = _white(blocks, jnp.column_stack([-by.T, blocks.y - model]))
         if centred:  # the position's zero is arbitrary
             one = _white(blocks, jnp.ones_like(blocks.y))

@@ -141,18 +141,25 @@ def descend(
     """The conditional mode near a point, for these weights and this scatter."""
     # Whole recordings run for longer than they compile.
     run = minimise if data.kind == RECORDINGS else minimise_soon
-    return run(*_descent(model, data, at, held, weights, scatter, trust, steps))
+    return run(*_pose_descent(model, data, at, held, weights, scatter, trust, steps))
 
 
 def descent_to_compile(model: Model, data: FitData, at: Settled):
     """The program of `descend` for data of this shape, traced; `.compile()` makes it ready for
     every later call, and may be left to another thread."""
     scatter = max(model.scatter, 1e-3)
-    return minimise.lower(*_descent(model, data, at, at.held, data.weights, scatter, 1.0, 0))
+    return minimise.lower(*_pose_descent(model, data, at, at.held, data.weights, scatter, 1.0, 0))
 
 
-def _descent(
-    model, data, at, held, weights, scatter, trust, steps
+def _pose_descent(
+    model: Model,
+    data: FitData,
+    at: Settled,
+    held: NDArray,
+    weights: NDArray,
+    scatter: float,
+    trust: float,
+    steps: int,
 ) -> tuple[Problem, FitPoint, Any]:
     """What `minimise` takes."""
     problem = problem_of(model, data, held, at.theta, scatter, weights, trust)

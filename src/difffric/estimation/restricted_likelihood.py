@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 _UNDETERMINED = 1e12
 """Variance of a coordinate along what is not determined at all."""
@@ -101,8 +101,8 @@ def linearise(
     rows: NDArray,
     weights: NDArray,
     group: NDArray,
-    counts: ArrayLike,
-    least: ArrayLike,
+    counts: Sequence[float] | NDArray,
+    least: Sequence[float] | NDArray,
     selection: NDArray,
     prior: NDArray,
     s_eta: NDArray,

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.errors import InputError
+from difffric.estimation.block_means import stack_even
 from difffric.estimation.mixed_model import PADDING
 from difffric.estimation.residuals import Grid, SlidePush, TablePush
-from difffric.estimation.traces import stacked_traces
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
 from difffric.measurements.reduction.reduce import Reduced
@@ -151,7 +151,7 @@ def traces_data(
 ) -> tuple[Rig, FitData]:
     """Whole recordings. A channel's samples come as `coordinates` + 1 rows of equal weight."""
     rig, strokes = strokes_of(rig, np.array([r.stroke for r in recordings]))
-    made = stacked_traces(recordings, details, strokes, fastest, jumps, guard)
+    made = stack_even(recordings, details, strokes, fastest, jumps, guard)
     weights = np.repeat(np.where(made.counts > 0, 1.0 / made.levels, 0.0), coordinates + 1, axis=1)
     n = len(recordings)
     none = np.zeros(0)
