@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
 from difffric.compute.xla_options import soon_compiled
-from difffric.estimation.mixed_fit import Model, problem_of
+from difffric.estimation.mixed_fit import Model, pose_problem
 from difffric.estimation.mixed_model import Problem
 from difffric.estimation.stacked_data import FitData
 
@@ -48,7 +48,7 @@ def compute_answers(model: Model, data: FitData, thetas: NDArray, s_etas: NDArra
     The points go through the compiled program `BATCH` at a time.
     """
     nothing = np.zeros(model.layout.n_free)
-    problem = problem_of(model, data, nothing > 0, nothing, 1.0, data.weights, 1.0)
+    problem = pose_problem(model, data, nothing > 0, nothing, 1.0, data.weights, 1.0)
     size, whole = problem.prior.shape[0], problem.weights.shape[0]
     out = []
     for lo in range(0, len(thetas), BATCH):

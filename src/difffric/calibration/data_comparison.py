@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from difffric.calibration.result import Fit
 from difffric.estimation.coordinates import rig_at
+from difffric.estimation.residuals import Grid
 from difffric.estimation.stacked_data import RECORDINGS, SLIDES
 from difffric.measurements.pushes import Pushes
 from difffric.rig import parameters
@@ -92,30 +93,43 @@ def compare_trace(fit: Fit, i: int) -> dict[str, TraceComparison]:
     out = {}
     for j, name in enumerate(("force", "position")):
         weight = data.weights[i, j * rows]
-        if weight <= 0:
-            continue
-        own = getattr(data.pushes, name)
-        t = np.asarray((data.pushes.force if own.t is None else own).t)[i]
-        y, a, b, before = (np.asarray(x)[i] for x in (own.y, own.a, own.b, own.before))
-        model = np.asarray(push.evaluate(t - offset)[j])
-        bend = model[:-2] - 2 * model[1:-1] + model[2:]
-        model = np.concatenate([model[:1], model[1:-1] + own.curve[i] * bend, model[-1:]])
-        difference = y - model
-        residual = a * difference - b * difference[before]
-        zero = 0.0
-        if name == "position":
-            one = a - b
-            zero = float(one @ residual / (one @ one))
-            residual = residual - zero * one
-        n = int(np.flatnonzero(a)[-1]) + 1
-        whitened = np.where(a > 0, weight * residual, np.nan)
-        out[name] = TraceComparison(t[:n], y[:n] - zero, model[:n], whitened[:n])
+        if weight > 0:
+            own = getattr(data.pushes, name)
+            t = np.asarray((data.pushes.force if own.t is None else own).t)[i]
+            model = np.asarray(push.evaluate(t - offset)[j])
+            out[name] = _compare_channel(own, i, t, model, weight, name == "position")
     return out
 
 
+def _compare_channel(
+    grid: Grid, i: int, t: NDArray, model: NDArray, weight: float, free_zero: bool
+) -> TraceComparison:
+    """One channel of push i beside the model's values (n,) at the times (n,) [s] of its grid.
+
+    `weight` is 1 / standard deviation of the noise; with `free_zero` the channel's zero is fitted
+    and taken off the measured values.
+    """
+    y, a, b, before = (np.asarray(x)[i] for x in (grid.y, grid.a, grid.b, grid.before))
+    bend = model[:-2] - 2 * model[1:-1] + model[2:]
+    model = np.concatenate([model[:1], model[1:-1] + grid.curve[i] * bend, model[-1:]])
+    difference = y - model
+    residual = a * difference - b * difference[before]
+    zero = 0.0
+    if free_zero:
+        one = a - b
+        zero = float(one @ residual / (one @ one))
+        residual = residual - zero * one
+    n = int(np.flatnonzero(a)[-1]) + 1
+    whitened = np.where(a > 0, weight * residual, np.nan)
+    return TraceComparison(t[:n], y[:n] - zero, model[:n], whitened[:n])
+
+
 def simulate_condition(fit: Fit, condition: str, speeds: NDArray) -> Family | None:
-    """The calibrated F_p and d of a condition over speeds (n,) [m/s], at its mean mu_s and one
-    scatter below and above; None where its pushes differ in mass or stroke, or none was made."""
+    """The calibrated F_p and d of a condition over speeds (n,) [m/s].
+
+    They are at the condition's mean mu_s and at one scatter below and above. None where its pushes
+    differ in mass or stroke, and for free slides, which have no push.
+    """
     mine = [i for i, c in enumerate(fit.conditions) if c == condition]
     if fit.kind == SLIDES:
         return None

@@ -13,7 +13,7 @@ from difffric.errors import InputError
 from difffric.estimation.coordinates import layout, slope
 from difffric.estimation.information import design_data, information, responses
 from difffric.estimation.mixed_fit import Model
-from difffric.estimation.open_parameters import undetermined, units
+from difffric.estimation.open_parameters import list_undetermined, open_units
 from difffric.estimation.restricted_likelihood import invert_information
 from difffric.estimation.stacked_data import sensor_errors
 from difffric.measurements.pushes import Pushes
@@ -109,8 +109,8 @@ def identifiable(
         notes.append(f"{int(np.isnan(answers[:, 1]).sum())} pushes give no sliding distance")
     covariance = invert_information(X)
     v = pushes.release_velocity if pushes.free_slides else pushes.velocity
-    unit = units(base, arranged.names, float(np.max(v)))
-    groups = undetermined(arranged.labels, arranged.names, covariance, unit)
+    unit = open_units(base, arranged.names, float(np.max(v)))
+    groups = list_undetermined(arranged.labels, arranged.names, covariance, unit)
     for group in groups:
         why = _physics(group["parameters"], derivatives, weights, v)
         group["reason"] += f". {why}" if why else ""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.calibration.batched_answers import BATCH, compute_answers, weigh_residuals
-from difffric.estimation.mixed_fit import ARRIVED, Model, Settled, settle, unstuck
+from difffric.estimation.mixed_fit import ARRIVED, Model, Settled, rescan_push_friction, settle
 from difffric.estimation.stacked_data import FitData
 
 _NO_ANSWER = 1e9
@@ -43,7 +43,7 @@ def find_branches(model: Model, data: FitData, at: Settled) -> list[NDArray]:
 def settle_on_best_branches(model: Model, data: FitData, done: Settled) -> Settled:
     """The fit once every push's own mu_s is on the branch that fits it best."""
     for _ in range(_ROUNDS):
-        other = unstuck(model, data, done, find_branches(model, data, done))
+        other = rescan_push_friction(model, data, done, find_branches(model, data, done))
         if other is done:
             break
         again = settle(model, data, other)

@@ -20,9 +20,9 @@ from difffric.estimation.mixed_fit import (
     Settled,
     descend,
     first_point,
-    moved,
+    rescan_push_friction,
     settle,
-    unstuck,
+    take_end,
 )
 from difffric.estimation.stacked_data import TABLE, FitData
 from difffric.progress import Tell
@@ -97,7 +97,7 @@ def descend_from(model: Model, data: FitData, starts: list[NDArray], tell: Tell)
         at = first_point(model, data, theta)
         end = descend(model, rough, at, at.held, rough.weights, scatter, 1.0, _ROUGH_STEPS)
         if np.isfinite(float(end.chi2)):
-            at = moved(at, end, at.held, scatter)
+            at = take_end(at, end, at.held, scatter)
             inside = np.clip(at.theta, layout.lower, layout.upper)
             ends.append((float(end.chi2), replace(at, theta=inside)))
     if not ends:
@@ -204,8 +204,8 @@ class _Contest:
         at = replace(at, scatter=scatter)
         for _ in range(2):
             end = descend(model, data, at, at.held, at.weights, scatter, _TRUST)
-            at = moved(at, end, at.held, scatter)
-            at = unstuck(model, data, at, find_branches(model, data, at))
+            at = take_end(at, end, at.held, scatter)
+            at = rescan_push_friction(model, data, at, find_branches(model, data, at))
         try:
             cooled = self._settle(at)
         except NumericalError:
@@ -235,5 +235,5 @@ def _start_on_best_branches(model: Model, data: FitData, theta: NDArray) -> Sett
     at = replace(first_point(model, data, theta), scatter=scatter)
     everything = np.ones_like(at.held)
     end = descend(model, data, at, everything, at.weights, scatter, _TRUST)
-    at = replace(moved(at, end, everything, scatter), held=at.held)
-    return unstuck(model, data, at, find_branches(model, data, at))
+    at = replace(take_end(at, end, everything, scatter), held=at.held)
+    return rescan_push_friction(model, data, at, find_branches(model, data, at))

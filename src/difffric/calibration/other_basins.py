@@ -32,6 +32,8 @@ _SCATTERS = (0.0, 0.002, 0.005, 0.01, 0.02, 0.04)
 """Scatters of mu_s of which the best counts for a point: none, to twice that of usual rails."""
 _NO_ANSWER = 1e6
 """The size of a residual where there is no answer."""
+_TAIL = 1e-4
+"""The share of the normal distribution that is cut off at either end."""
 _COUNTED = 4
 """A push's chi-square counts in full up to about this size and by its logarithm beyond, so that
 one push on the wrong side of a jump does not spoil a point."""
@@ -64,7 +66,7 @@ def _draw_steps(free: int) -> tuple[NDArray, NDArray]:
     """Sizes (N, 1) from 1 to `_FARTHEST`, and standard normal steps (N, free), evenly spread."""
     u = scipy.stats.qmc.Sobol(free + 1, scramble=False).random_base2(int(np.log2(_POOL)))
     size = np.exp(np.log(_FARTHEST) * u[:, -1:])
-    return size, scipy.special.ndtri(np.clip(u[:, :-1], 1e-4, 1 - 1e-4))
+    return size, scipy.special.ndtri(np.clip(u[:, :-1], _TAIL, 1 - _TAIL))
 
 
 def _rank_points(model: Model, data: FitData, at: Settled, theta: NDArray) -> NDArray:

@@ -24,9 +24,9 @@ from difffric.estimation.mixed_fit import (
     ARRIVED,
     Settled,
     descend,
-    linear_at,
-    moved,
-    unstuck,
+    linearise_at,
+    rescan_push_friction,
+    take_end,
 )
 from difffric.estimation.stacked_data import RECORDINGS
 from difffric.progress import Tell, silent
@@ -280,7 +280,7 @@ class _Path:
             plain = at.theta.copy()
             plain[self.j] = x
             best = min(best, self._inside(replace(at, theta=plain)), key=self._key)
-            other = unstuck(self.model, self.data, best)
+            other = rescan_push_friction(self.model, self.data, best)
             if other is not best:
                 best = min(best, self._inside(other), key=self._key)
         self.found[x] = (self._key(best), best)
@@ -320,7 +320,7 @@ class _Path:
     def _descend(self, at: Settled, held: NDArray) -> Settled:
         scatter = at.scatter
         end: Any = descend(self.model, self.data, at, held, at.weights, scatter, self.trust)
-        return moved(at, end, held, scatter)
+        return take_end(at, end, held, scatter)
 
     def _key(self, at: Settled) -> float:
         chi2 = self._chi2(at)
@@ -342,7 +342,7 @@ def _slopes(fit: Fit, at: Settled, j: int) -> tuple[NDArray, NDArray]:
         along = fit.covariance[:, j] / fit.covariance[j, j]
     along = np.where(np.abs(along) < FARTHEST, along, 0.0)
     along[j] = 1.0
-    linear, P = linear_at(model, data, at), len(at.theta)
+    linear, P = linearise_at(model, data, at), len(at.theta)
     G = linear.known + np.einsum("gnij,g->nij", linear.groups, 1.0 / at.spreads**2)
     z = G[:, P + 1]
     own = at.scatter**2 / (1.0 + at.scatter**2 * z[:, P + 1])

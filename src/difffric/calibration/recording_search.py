@@ -19,11 +19,10 @@ from difffric.estimation.mixed_fit import (
     ROUNDS,
     Model,
     Settled,
-    around,
     descent_to_compile,
     first_point,
+    rescan_push_friction,
     settle,
-    unstuck,
 )
 from difffric.estimation.stacked_data import (
     FitData,
@@ -45,22 +44,30 @@ _COLOURED = 0.3
 """Noise more correlated than this is first taken to be white: differences of samples, which
 whitening looks at, have a narrower basin than the samples."""
 _TRUST = 1e3
+"""How far a descent trusts its linear model at first: farther than with a table, as thousands of
+samples determine every parameter well."""
 _GUARD = 2e-5
 """How far a free start may move a jump [s]: samples that near are left out."""
 _LAST_ROUNDS = 4
+"""Rounds between mode and variances that are as good as all, once the start is near."""
+_SAME_JUMPS = 2e-6
+"""Jumps that moved by less than this [s] leave out the same samples."""
 _POOR = 1.15
 """A push whose chi-square per sample is above this may have its mu_s on a wrong branch."""
 
 
 @dataclass(frozen=True)
 class RecordingSearch:
-    """Fits the recordings of `reduction`; `model` says what of the rig is free."""
+    """The search for the fit of recordings."""
 
     model: Model
+    """what of the rig is free"""
     reduction: Reduction
+    """the recordings, with what they say without a model"""
     box: list[NDArray]
-    """starts"""
+    """(free,) each: shared coordinates to start from, the set-up's own first"""
     tell: Tell
+    """is called with the progress"""
     thorough: bool = True
     """whether further starts are followed where the fit is poor"""
 
@@ -112,7 +119,7 @@ class RecordingSearch:
         found = fit_forces(model, data, self.box)
         if found is None:
             return []
-        starts = [found[0].theta, self.box[0]]
+        starts = [found.theta, self.box[0]]
         return [at for _, at, _ in descend_from(model, data, starts, self.tell)[:1]]
 
     def _tables_first(self) -> list[Settled | None]:
@@ -169,7 +176,7 @@ class RecordingSearch:
             rounds = rounds // 2
             at = settle(model, data, at, trust=_TRUST, rounds=rounds)
             while elsewhere and (_misfit(data, at) > _POOR).any():
-                other = unstuck(model, data, at, elsewhere.pop(0)(at))
+                other = rescan_push_friction(model, data, at, elsewhere.pop(0)(at))
                 at = at if other is at else settle(model, data, other, trust=_TRUST)
             if _same(jumps, np.asarray(at.end.jumps)[: data.n]):
                 break
@@ -192,4 +199,4 @@ def _misfit(data: FitData, at: Settled) -> NDArray:
 
 
 def _same(old: NDArray, new: NDArray) -> bool:
-    return old.shape == new.shape and bool(np.allclose(old, new, atol=2e-6, rtol=0))
+    return old.shape == new.shape and bool(np.allclose(old, new, atol=_SAME_JUMPS, rtol=0))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from difffric.calibration.report_text import format_fit
 from difffric.estimation.coordinates import has_vanished, slope, to_value
 from difffric.estimation.mixed_fit import Model, Settled
-from difffric.estimation.open_parameters import undetermined, units
+from difffric.estimation.open_parameters import list_undetermined, open_units
 from difffric.estimation.stacked_data import RECORDINGS, SLIDES, FitData
 from difffric.measurements.pushes import Pushes
 from difffric.rig import parameters
@@ -175,8 +175,8 @@ class Fit:
         open_ = [i for i, label in enumerate(self.free) if label not in self.held]
         covariance = self.covariance[np.ix_(open_, open_)]
         names = [self.names[i] for i in open_]
-        unit = units(self.rig, names, self.fastest_speed)
-        return out + undetermined([self.free[i] for i in open_], names, covariance, unit)
+        unit = open_units(self.rig, names, self.fastest_speed)
+        return out + list_undetermined([self.free[i] for i in open_], names, covariance, unit)
 
     @property
     def fastest_speed(self) -> float:

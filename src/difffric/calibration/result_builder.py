@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from difffric.calibration.result import Fit, FitState
 from difffric.estimation.coordinates import NOTHING
-from difffric.estimation.mixed_fit import Model, Settled, linear_at, start_offsets
+from difffric.estimation.mixed_fit import Model, Settled, linearise_at, start_offsets
 from difffric.estimation.stacked_data import RECORDINGS, FitData
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.reduction.reduce import Reduction
@@ -158,7 +158,7 @@ def _own_errors(model: Model, data: FitData, at: Settled) -> NDArray:
     carried through."""
     P = model.layout.n_free
     felt = ~(at.held & (at.theta <= NOTHING))
-    L = linear_at(model, data, replace(at, held=~felt))
+    L = linearise_at(model, data, replace(at, held=~felt))
     G = L.known + np.einsum("gnij,g->nij", L.groups, 1.0 / at.components.spreads**2)
     column = G[:, :, P]
     on = G[:, P, P] > 0

@@ -20,8 +20,8 @@ from difffric.estimation.mixed_fit import (
     Settled,
     descend,
     first_point,
-    linear_at,
-    moved,
+    linearise_at,
+    take_end,
 )
 from difffric.estimation.stacked_data import FitData
 from difffric.rig import parameters
@@ -41,6 +41,14 @@ _NO_ANSWER = 1e9
 """The residual of an F_p that does not exist."""
 _LEAST_DISTANCE = 1e-9
 """A distance [m] that stands for none, so that it has a logarithm."""
+_UNKNOWN_NOISE = 0.01
+"""The noise of F_p, as a share, where its spread is to be estimated."""
+_ALIKE = 0.01
+"""Two descents whose chi-squares differ by less than this share have led to one point."""
+_TAIL = 1e-4
+"""The share of the normal distribution that is cut off at either end."""
+_TO_SMALL = 1.5
+"""The power of evenly spread numbers that gives more of the starts a small k_v."""
 _VISCOUS = 0.3
 """The largest share of viscosity in the friction at the fastest push that is looked for."""
 
@@ -78,12 +86,14 @@ def _rank_answers(answers: NDArray, measured: NDArray) -> NDArray:
     return each @ np.ones(len(measured))
 
 
-def fit_forces(model: Model, data: FitData, box: list[NDArray]) -> tuple[Settled, NDArray] | None:
-    """Where F_p alone leads, with k_v as it is, and which parameters that was without; None
-    where the model gives no number."""
+def fit_forces(model: Model, data: FitData, box: list[NDArray]) -> Settled | None:
+    """Where F_p alone leads, with k_v held as it is; None where the model gives no number.
+
+    F_p hardly depends on k_v. Starts are tried until the two best of three lead to one point.
+    """
     F = stack_measured(data)[:, 0]
     known = (data.group[:, 0] < 0) & (data.weights[:, 0] > 0)
-    noise = np.where(known, 1.0 / np.where(known, data.weights[:, 0], 1.0), 0.01 * F)
+    noise = np.where(known, 1.0 / np.where(known, data.weights[:, 0], 1.0), _UNKNOWN_NOISE * F)
     sd = np.hypot(_FORCE_ONLY * F, noise)
     weights = np.nan_to_num(np.column_stack([1.0 / sd, np.zeros(data.n)]))
     forces = replace(data, weights=weights, group=np.full(data.group.shape, -1))
@@ -95,27 +105,26 @@ def fit_forces(model: Model, data: FitData, box: list[NDArray]) -> tuple[Settled
         end = descend(model, forces, at, held, weights, scatter, 1.0)
         chi2 = float(end.chi2)
         if np.isfinite(chi2) and (best is None or chi2 < min(costs)):
-            best = replace(moved(at, end, held, scatter), weights=weights)
+            best = replace(take_end(at, end, held, scatter), weights=weights)
         costs.append(chi2 if np.isfinite(chi2) else np.inf)
         good = sorted(costs)
-        if len(good) > 2 and good[1] - good[0] < 0.01 * (1 + good[0]):
+        if len(good) > 2 and good[1] - good[0] < _ALIKE * (1 + good[0]):
             break
-    return None if best is None else (best, held)
+    return best
 
 
 def _scatter_about_forces(model: Model, data: FitData, box: list[NDArray]) -> NDArray:
     """Points from the neighbourhood of the fit of F_p alone."""
     layout = model.layout
-    found = fit_forces(model, data, box)
-    if found is None:
+    best = fit_forces(model, data, box)
+    if best is None:
         return np.zeros((0, layout.n_free))
-    best, held = found
     forces = replace(
         data, weights=best.weights, group=np.full(data.group.shape, -1), counts=np.zeros(0),
         least=np.zeros(0),
     )  # fmt: skip
-    free = ~held
-    linear = linear_at(model, forces, best)
+    free = ~best.held
+    linear = linearise_at(model, forces, best)
     X = linear.evaluate(best.scatter, np.zeros(0))[1][np.ix_(free, free)]
     X = X / _WIDER**2 + np.eye(int(free.sum())) / _WEAK**2
     spread = np.linalg.cholesky(np.linalg.inv(X))
@@ -125,8 +134,8 @@ def _scatter_about_forces(model: Model, data: FitData, box: list[NDArray]) -> ND
     )
     u = u[1 : n + 1]  # the first is the origin
     theta = np.tile(best.theta, (len(u), 1))
-    theta[:, free] += scipy.special.ndtri(np.clip(u[:, free], 1e-4, 1 - 1e-4)) @ spread.T
-    theta[:, held] = _most_viscous(model, data) * u[:, held] ** 1.5
+    theta[:, free] += scipy.special.ndtri(np.clip(u[:, free], _TAIL, 1 - _TAIL)) @ spread.T
+    theta[:, best.held] = _most_viscous(model, data) * u[:, best.held] ** _TO_SMALL
     return theta
 
 
