@@ -28,7 +28,7 @@ k_N_per_m = 8.0e5
 b_N_s_per_m = 1500.0
 """
 REFERENCE = "difffric simulate SETUP --velocity-mm-min 3000"
-MAIN = "from difffric.cli import main; main()"
+MAIN = "from difffric.commands.main import main; main()"
 
 
 def _simulate(*options):

@@ -44,7 +44,7 @@ def run(monkeypatch, capfd):
 
 
 def _runner(monkeypatch, capture=None):
-    monkeypatch.setattr(main, "_prepare_jax", lambda: None)  # tests/conftest.py has done it
+    monkeypatch.setattr(main, "prepare_jax", lambda: None)  # tests/conftest.py has done it
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["difffric", *map(str, arguments)])

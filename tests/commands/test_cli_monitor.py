@@ -55,7 +55,7 @@ class Done(NamedTuple):
 @pytest.fixture
 def run(monkeypatch, capfd):
     """A command line, in this process: exit status and what it said."""
-    monkeypatch.setattr(main, "_prepare_jax", lambda: None)  # tests/conftest.py has done it
+    monkeypatch.setattr(main, "prepare_jax", lambda: None)  # tests/conftest.py has done it
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["difffric", "monitor", *map(str, arguments), "--quiet"])

@@ -14,7 +14,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from difffric.acquisition.recorder import Acquired, troubles
+from difffric.acquisition.push import Acquired
 from difffric.commands.figures.acquire import draw_live
 from difffric.identification.live import LivePush
 from difffric.measurements.recordings import Recording
@@ -30,7 +30,7 @@ _WINDOWS = {"qtagg", "qt5agg", "tkagg", "gtk3agg", "gtk4agg", "wxagg", "macosx"}
 
 def notes(acquired: Acquired, found: LivePush | None) -> list[str]:
     """What is to be said of a push beside its numbers."""
-    said = troubles(acquired)
+    said = acquired.troubles
     if found is not None:
         said += found.problems
         if found.reason and found.reason not in said:

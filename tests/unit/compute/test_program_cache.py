@@ -270,16 +270,9 @@ def test_processes_at_once_share_a_cache_and_a_foreign_one_is_not_touched(tmp_pa
     assert not files_of(foreign)
 
 
-def test_the_help_needs_no_jax():
-    code = (
-        "import sys, difffric.cli; sys.exit(bool({'jax', 'matplotlib', 'scipy'} & {*sys.modules}))"
-    )
-    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
-
-
 def test_a_command_that_draws_nothing_loads_no_matplotlib():
     code = (
-        "import sys\nfrom difffric.cli import app\n"
+        "import sys\nfrom difffric.commands.main import app\n"
         f"app({list(IDENTIFY)!r}, standalone_mode=False)\n"
         "sys.exit(bool({'matplotlib', 'optimistix', 'jinja2', 'nptdms'} & {*sys.modules}))"
     )

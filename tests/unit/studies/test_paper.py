@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import difffric as df
-from difffric.commands.reports.page import write
+from difffric.commands.reports.page import write_folder
 from difffric.commands.reports.paper import paper_report
 from difffric.identification.surrogates import PUBLISHED_DISTANCE, PUBLISHED_FORCE, weighted
 from difffric.output_folder import to_json_types
@@ -110,7 +110,7 @@ def test_no_speed_is_judged_by_a_calibration_that_saw_it(study):
 
 
 def test_the_answer_has_the_contract_s_fields(study, tmp_path):
-    write(tmp_path, study.as_dict(), paper_report(study))
+    write_folder(tmp_path, study.as_dict(), paper_report(study))
     answer = json.loads((tmp_path / "result.json").read_text())
     rows = answer["rows"]
     assert [r["table"] for r in rows] == ["I"] * 6 + ["II"] * 6 + ["III"] * 6 + ["IV"] * 6
@@ -143,7 +143,7 @@ def test_the_answer_has_the_contract_s_fields(study, tmp_path):
 
 @needs_chromium
 def test_the_report_shows_at_both_widths(browser, study, tmp_path):
-    write(tmp_path, study.as_dict(), paper_report(study))
+    write_folder(tmp_path, study.as_dict(), paper_report(study))
     for width in WIDTHS:
         assert faults(browser, tmp_path / "report.html", width) == [], width
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from difffric.commands.figures.style import MARKERS, STYLE, colours_of, new_figure
 from difffric.monitoring.monitor import Monitor
-from difffric.monitoring.records import Seen
+from difffric.monitoring.records import PushRecord
 from difffric.monitoring.shiryaev_roberts import DIRECTIONS
 
 _ALARM, _LINES = "#a3122a", ("#1f6f8b", "#1f6f8b", "#b08a1e", "#b08a1e")
@@ -51,16 +51,16 @@ def charts(monitor: Monitor) -> Figure:
     return figure
 
 
-def _parts(pushes: Sequence[Seen]) -> dict[str, list[Seen]]:
+def _parts(pushes: Sequence[PushRecord]) -> dict[str, list[PushRecord]]:
     """What a person calls each part -> its pushes."""
-    found: dict[str, list[Seen]] = {}
+    found: dict[str, list[PushRecord]] = {}
     for x in pushes:
         if x.mu_s is not None:
             found.setdefault(x.condition or "", []).append(x)
     return found
 
 
-def _friction(ax, pushes: Sequence[Seen]) -> None:
+def _friction(ax, pushes: Sequence[PushRecord]) -> None:
     parts = _parts(pushes)
     colours = colours_of(list(parts))
     for marker, (name, mine) in zip(MARKERS * len(parts), parts.items(), strict=False):
@@ -83,7 +83,7 @@ def _friction(ax, pushes: Sequence[Seen]) -> None:
 _STATE = ("state", "state_se")
 
 
-def _contrast(ax, pushes: Sequence[Seen]) -> None:
+def _contrast(ax, pushes: Sequence[PushRecord]) -> None:
     mine = [x for x in pushes if x.z[1] is not None]
     ax.axhspan(-2, 2, color="#999", alpha=0.15, lw=0)
     ax.axhline(0, color="#333", lw=0.8)
@@ -92,7 +92,7 @@ def _contrast(ax, pushes: Sequence[Seen]) -> None:
     ax.set_ylabel("contrast of force\nand distance [σ]")
 
 
-def _evidence(ax, pushes: Sequence[Seen]) -> None:
+def _evidence(ax, pushes: Sequence[PushRecord]) -> None:
     mine = [x for x in pushes if x.log_evidence is not None]
     n = [x.number for x in mine]
     for k, (name, colour) in enumerate(zip(DIRECTIONS, _LINES, strict=True)):

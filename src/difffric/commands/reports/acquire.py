@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from difffric.acquisition.card import METRES_PER_COUNT, VOLTS_PER_WORD, CardError, CardSession
-from difffric.acquisition.recorder import Acquired, Command, acquire, troubles
+from difffric.acquisition.push import Acquired, Command
+from difffric.acquisition.recorder import acquire
 from difffric.commands.live_view import LivePlot, LiveView, notes
 from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.errors import InputError
@@ -195,7 +196,7 @@ def acquire_report(answer: dict, run: Run, pictures: bool = False) -> Report:
         for words in notes(one, found)
     ]
     wrong = sum(
-        bool(troubles(x) or (y and y.problems))
+        bool(x.troubles or (y and y.problems))
         for x, y in zip(run.acquired, run.found, strict=True)
     )
     if wrong:

@@ -8,10 +8,11 @@ from typing import NamedTuple
 
 from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table
 from difffric.errors import InputError
-from difffric.monitoring.change_cause import Candidate, verdict
+from difffric.monitoring.alarms import Alarm
+from difffric.monitoring.change_cause import ChangeCause, conclude
 from difffric.monitoring.feed import Feed
 from difffric.monitoring.monitor import Monitor
-from difffric.monitoring.records import Alarm, Seen
+from difffric.monitoring.records import PushRecord
 from difffric.monitoring.shiryaev_roberts import CHANNELS, DIRECTIONS
 from difffric.number_text import format_number, format_pair
 from difffric.units import to_mm_min
@@ -25,7 +26,7 @@ class Explained(NamedTuple):
     """An alarm with what may have changed."""
 
     alarm: Alarm
-    causes: list[Candidate]
+    causes: list[ChangeCause]
     parameter: str | None
     words: str
 
@@ -35,7 +36,7 @@ def explained(monitor: Monitor) -> list[Explained]:
     out = []
     for alarm in monitor.alarms:
         causes = alarm.causes(monitor.reader)
-        out.append(Explained(alarm, causes, *verdict(causes)))
+        out.append(Explained(alarm, causes, *conclude(causes)))
     return out
 
 
@@ -53,19 +54,19 @@ def alarm_line(monitor: Monitor, alarm: Alarm, words: str) -> str:
     )
 
 
-def teller(feed: Feed) -> Callable[[Seen], None]:
+def teller(feed: Feed) -> Callable[[PushRecord], None]:
     """Says each alarm as it comes."""
 
-    def told(seen: Seen) -> None:
+    def told(seen: PushRecord) -> None:
         if seen.alarm:
             alarm = feed.monitor.alarms[-1]
-            words = verdict(alarm.causes(feed.monitor.reader))[1]
+            words = conclude(alarm.causes(feed.monitor.reader))[1]
             print(alarm_line(feed.monitor, alarm, words), flush=True)
 
     return told
 
 
-def _place(pushes: dict[int, Seen], which: int) -> str:
+def _place(pushes: dict[int, PushRecord], which: int) -> str:
     seen = pushes.get(which)
     said = ", ".join(filter(None, [seen.source, seen.name])) if seen else ""
     return f"push {which}" + (f" ({said})" if said else "")
@@ -107,7 +108,7 @@ def _alarm(x: Explained, new: bool) -> dict:
     }
 
 
-def _push(x: Seen) -> dict:
+def _push(x: PushRecord) -> dict:
     def pair(value, error):
         return None if value is None else {"value": value, "standard_error": error}
 
@@ -149,7 +150,7 @@ def _parts(monitor: Monitor) -> list[dict]:
             mean = monitor.friction.means.get(name)
             if cell.part != key or mean is None or mean.weight == 0:
                 continue
-            phi = monitor.friction.spread(name).phi
+            phi = monitor.friction.get_spread(name).phi
             speeds.append(
                 {
                     "velocity_m_per_s": cell.velocity,

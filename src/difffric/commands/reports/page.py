@@ -82,7 +82,7 @@ def _png(figure: Figure, dpi: int) -> bytes:
     return buffer.getvalue()
 
 
-def write(
+def write_folder(
     folder: str | os.PathLike, answer, report: Report, files: Mapping[str, bytes] | None = None
 ) -> Path:
     """Write result.json, report.html, the figures and other `files`; all of them or none."""

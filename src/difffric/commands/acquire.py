@@ -1,0 +1,66 @@
+"""`difffric acquire`: pushes recorded from the card, or from a simulated one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from difffric.acquisition.card import open_card
+from difffric.commands.console import check_out, print_and_write
+from difffric.commands.options import Out, Quiet, require_positive
+from difffric.commands.reports import acquire as answers
+from difffric.commands.simulated_rig import simulated_card
+from difffric.errors import InputError
+from difffric.output_folder import open_folder
+from difffric.rig.setup_toml import read_setup
+from difffric.units import from_mm
+
+
+def acquire(
+    simulate: Annotated[Path | None, typer.Option(help="a setup.toml to push, no card")] = None,
+    velocity_mm_min: Annotated[
+        list[float] | None, typer.Option(help="pusher speed [mm/min], once a push")
+    ] = None,
+    stroke_mm: Annotated[float | None, typer.Option(help="instead of the set-up's")] = None,
+    rate_hz: Annotated[float | None, typer.Option(help="simulated: samples a second")] = None,
+    seed: Annotated[int, typer.Option(help="simulated: of noise and scatter", min=0)] = 0,
+    bitfile: Annotated[Path | None, typer.Option(help="of the card, .lvbitx")] = None,
+    resource: Annotated[str, typer.Option(help="the card's name")] = "RIO0",
+    setup: Annotated[
+        Path | None, typer.Option(help="with a card: the rig, to identify each push")
+    ] = None,
+    plot: Annotated[bool, typer.Option("--plot", help="a live figure")] = False,
+    out: Out = None,
+    quiet: Quiet = False,
+) -> None:
+    """Record pushes into pushes.tdms, in `out` or the current folder, and identify each.
+
+    Raises `NumericalError`, after all is written, where samples were lost.
+    """
+    check_out(out)
+    for v in velocity_mm_min or ():
+        require_positive("--velocity-mm-min", v)
+    require_positive("--rate-hz", rate_hz)
+    require_positive("--stroke-mm", stroke_mm)
+    if simulate is not None and setup is not None:
+        raise InputError("--setup is for a card: --simulate has its set-up")
+    file = simulate or setup
+    known, truth = None if file is None else read_setup(file), []
+    if known is not None and simulate is not None:
+        card, truth = simulated_card(known, rate_hz, seed)
+    else:
+        card = open_card(bitfile, resource)
+    stroke = None if stroke_mm is None else from_mm(stroke_mm)
+    if stroke is None and known is not None:
+        stroke = known.rig.pusher.stroke
+    mass = float("nan") if known is None else float(known.rig.mass)
+    pushes = answers.commands(velocity_mm_min or (), stroke=stroke, mass=mass)
+    with open_folder(out or Path()) as folder, card as session:
+        run = answers.record(session, pushes, folder, setup=known, quiet=quiet, plot=plot)
+    note = answers.NO_STROKE if stroke is None else None
+    seeded = None if simulate is None else seed
+    answer = answers.acquire_answer(run, truth=truth, seed=seeded, stroke=note)
+    print_and_write(answers.acquire_report(answer, run, pictures=out is not None), answer, out)
+    answers.raise_for_lost(run)

@@ -1,0 +1,65 @@
+"""`difffric centre`: rings centred on a simulated machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from difffric.centering.belief import Belief
+from difffric.centering.planning import SCATTER, Known
+from difffric.commands.console import check_out, print_and_write, show_progress
+from difffric.commands.options import Out, Quiet, Setup, require_positive
+from difffric.commands.reports import centre as answers
+from difffric.rig.setup_toml import load_setup, read_setup
+from difffric.studies.centering_runs import OFFSETS, OURS, hidden_rings, runs
+from difffric.studies.other_centering import RIVALS
+from difffric.units import from_um
+
+
+def centre(
+    setup: Setup,
+    truth: Annotated[
+        Path | None, typer.Option(help="the machine's own setup.toml, with hidden effects")
+    ] = None,
+    rings: Annotated[int, typer.Option(help="how many", min=1)] = 10,
+    offset_um: Annotated[
+        float | None, typer.Option(help="of each ring; else 5 to 5000, at random")
+    ] = None,
+    mu_s_from: Annotated[float, typer.Option(help="hidden friction is between this")] = 0.08,
+    mu_s_to: Annotated[float, typer.Option(help="and this")] = 0.25,
+    drift_percent: Annotated[float, typer.Option(help="of the hidden mu_s, per push")] = 0.0,
+    verify: Annotated[bool, typer.Option("--verify", help="measure again at the end")] = False,
+    alone: Annotated[bool, typer.Option("--alone", help="not beside other ways")] = False,
+    seed: Annotated[int, typer.Option(help="of rings, noise and scatter", min=0)] = 0,
+    out: Out = None,
+    quiet: Quiet = False,
+) -> None:
+    """Centre rings whose friction nobody knows, and report pushes and errors of each way."""
+    check_out(out)
+    require_positive("--offset-um", offset_um)
+    said = read_setup(setup)
+    hidden = None if truth is None else load_setup(truth)
+    known = Known.of(
+        said, Belief.uniform(mu_s_from, mu_s_to, SCATTER, drift=abs(drift_percent) / 100)
+    )
+    own = OFFSETS[0] if offset_um is None else from_um(offset_um)
+    offsets = OFFSETS if offset_um is None else (own, own)
+    those = hidden_rings(rings, seed, (mu_s_from, mu_s_to), offsets)
+    with show_progress(quiet) as tell:
+        found = list(
+            runs(
+                known,
+                those,
+                truth=hidden,
+                ways=(OURS,) if alone else (OURS, *RIVALS),
+                drift=drift_percent / 100,
+                verify=verify,
+                tell=tell,
+            )
+        )
+        tell("drawing", 0.99)
+        answer = answers.centre_answer(found, known, seed)
+        report = answers.centre_report(answer, found, known, pictures=out is not None)
+    print_and_write(report, answer, out)

@@ -1,0 +1,80 @@
+"""What every command shows a person: its progress, its tables, and the folder that it wrote."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table as RichTable
+from rich.text import Text
+
+from difffric.commands.reports.page import Report, Table, write_folder
+from difffric.output_folder import check_writable
+from difffric.progress import Tell
+
+_WIDEST = 200
+"""Characters of a printed table: no table of ours needs more."""
+
+
+@contextmanager
+def show_progress(quiet: bool) -> Iterator[Tell]:
+    """Yield `tell(what, share done)`, which shows a bar on standard error unless quiet."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
+        task = bar.add_task("starting", total=1.0)
+        yield lambda what, share: bar.update(task, description=what, completed=share)
+
+
+def check_out(out: Path | None) -> None:
+    """Raise `InputError` where `--out` cannot be written, before the work and not after it."""
+    if out is not None:
+        check_writable(out)
+
+
+def print_and_write(
+    report: Report, answer: Any, out: Path | None, files: Mapping[str, bytes] | None = None
+) -> None:
+    """Print the report's summary and tables; write the folder where one was asked for.
+
+    `files` are written beside result.json, report.html and the figures.
+    """
+    console = Console(highlight=False, markup=False)
+    own_width = console.width
+    for line in report.summary:
+        console.print(line)
+    for section in report.sections:
+        for table in section.tables:
+            shown = _lay_out(table)
+            # Numbers are not to be broken where a terminal is narrow: it wraps whole lines.
+            needed = console.measure(shown, options=console.options.update(width=_WIDEST)).maximum
+            console.width = max(own_width, needed)
+            console.print(shown)
+    console.width = own_width
+    if out is not None:
+        write_folder(out, answer, report, files)
+        names = ", ".join(["result.json", "report.html", *(files or {}), "figures"])
+        console.print(f"written to {out}: {names}")
+
+
+def _lay_out(table: Table) -> RichTable:
+    """A report's table as a terminal shows it: the first column to the left, numbers right."""
+    shown = RichTable(
+        title=table.caption,
+        title_justify="left",
+        title_style="bold",
+        box=SIMPLE_HEAD,
+        padding=0,
+        pad_edge=False,
+        collapse_padding=True,
+    )
+    for i, column in enumerate(table.columns):
+        shown.add_column(Text(column), justify="left" if i == 0 else "right", overflow="fold")
+    for row in table.rows:
+        shown.add_row(*(Text(cell) for cell in row))
+    return shown

@@ -1,0 +1,101 @@
+"""`difffric diagnose`: what a simulation lacks, for one rig or a fleet."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from difffric.commands.console import check_out, print_and_write, show_progress
+from difffric.commands.fleet_options import (
+    Archive,
+    FleetSetup,
+    Scheduler,
+    Workers,
+    check_fleet,
+    check_setup,
+    is_fleet,
+)
+from difffric.commands.options import DataMass, Out, Quiet, SkipBad
+from difffric.commands.reports import diagnose as answers
+from difffric.commands.reports.fit import check_out as check_setup_stays
+from difffric.diagnosis.procedure import diagnose as diagnose_pushes
+from difffric.errors import InputError
+from difffric.measurements.load_file import load
+from difffric.rig.setup_toml import read_setup
+
+
+def diagnose(
+    data: Archive,
+    setup: FleetSetup = None,
+    negligible: Annotated[
+        float, typer.Option(help="share of the systematic error below which a cause is left out")
+    ] = 0.1,
+    held_out: Annotated[
+        str, typer.Option(help="what is held out at a time: push, or speed (all of one speed)")
+    ] = "push",
+    use_data_mass: DataMass = False,
+    skip_bad: SkipBad = False,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    out: Out = None,
+    quiet: Quiet = False,
+) -> None:
+    """Report what the simulation gets wrong, the cause, the extended model and what it gains."""
+    check_out(out)
+    if not 0 <= negligible < 1:
+        raise InputError(f"--negligible: expected a share from 0 to 1, got {negligible:g}")
+    if is_fleet(data, workers, scheduler):
+        options = {"negligible": negligible, "held_out": held_out, "use_data_mass": use_data_mass}
+        return _diagnose_fleet(data, setup, workers, scheduler, out, quiet, options)
+    file = check_setup(setup, data)
+    check_setup_stays(out, file)
+    rig, loaded = read_setup(file), load(data, skip_bad=skip_bad)
+    with show_progress(quiet) as tell:
+        found = diagnose_pushes(
+            rig,
+            loaded,
+            negligible=negligible,
+            held_out=held_out,
+            use_data_mass=use_data_mass,
+            skip_bad=skip_bad,
+            tell=tell,
+        )
+        tell("drawing", 0.99)
+        report = answers.diagnose_report(found, pictures=out is not None)
+        files = None if out is None else {"setup.toml": answers.setup_file_of(found)}
+    print_and_write(report, found.as_dict(), out, files)
+
+
+def _diagnose_fleet(
+    data: Path,
+    setup: Path | None,
+    workers: int | None,
+    scheduler: str | None,
+    out: Path | None,
+    quiet: bool,
+    options: dict[str, Any],
+) -> None:
+    """Report what the rigs of an archive share and which of them differ, into the folder."""
+    folder = check_fleet(data, workers, scheduler, out)
+    # Here, as one rig's pushes need no data frames: 0.2 s.
+    from difffric.commands.reports.fleet_diagnosis import (
+        fleet_diagnosis_answer,
+        fleet_diagnosis_report,
+    )
+    from difffric.fleet.diagnose_archive import diagnose_fleet
+
+    with show_progress(quiet) as tell:
+        found = diagnose_fleet(
+            data,
+            folder,
+            setup=setup,
+            n_workers=workers or 1,
+            scheduler=scheduler,
+            tell=tell,
+            **options,
+        )
+        tell("drawing", 1.0)
+        report = fleet_diagnosis_report(found, pictures=True)
+    print_and_write(report, fleet_diagnosis_answer(found), folder)

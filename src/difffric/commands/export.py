@@ -1,0 +1,58 @@
+"""`difffric export`: mu_s from F_p and d as a controller's C."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from difffric.commands.console import check_out, print_and_write, show_progress
+from difffric.commands.options import Quiet, Setup, load_rig, require_positive
+from difffric.commands.reports.export import export_answer, export_report, files_of
+from difffric.errors import InputError
+from difffric.identification.controller.fitting import check, fit_predictor
+from difffric.identification.controller.predictor import Box
+from difffric.rig import parameters
+from difffric.units import from_mm_min
+
+
+def export(
+    setup: Setup,
+    out: Annotated[Path | None, typer.Option(help="folder for the files; needed")] = None,
+    max_error: Annotated[float, typer.Option(help="largest error, a share of mu_s")] = 0.005,
+    slowest_mm_min: Annotated[float, typer.Option(help="speeds from [mm/min]")] = 500.0,
+    fastest_mm_min: Annotated[float, typer.Option(help="to [mm/min]")] = 5000.0,
+    least_mu_s: Annotated[float, typer.Option(help="mu_s from")] = 0.05,
+    most_mu_s: Annotated[float, typer.Option(help="to")] = 0.30,
+    least_elasticity: Annotated[
+        float, typer.Option(help="relative change of a reading, by mu_s, that still tells it")
+    ] = 0.01,
+    stroke_mm: Annotated[float | None, typer.Option(help="instead of the set-up's")] = None,
+    no_stroke: Annotated[
+        bool, typer.Option("--no-stroke", help="the pusher stops at the first loss of contact")
+    ] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write predictor.c, .h and .json, with the largest error that they make proven."""
+    if out is None:
+        raise InputError("export writes files: expected a folder for them; give --out DIR")
+    if no_stroke and stroke_mm is not None:
+        raise InputError("--no-stroke and --stroke-mm: expected one of them at most")
+    check_out(out)
+    require_positive("--slowest-mm-min", slowest_mm_min)
+    require_positive("--fastest-mm-min", fastest_mm_min)
+    require_positive("--least-mu-s", least_mu_s)
+    require_positive("--most-mu-s", most_mu_s)
+    rig = load_rig(setup, stroke_mm=stroke_mm)
+    if no_stroke:
+        rig = parameters.with_stroke(rig, None)
+    box = Box(from_mm_min(slowest_mm_min), from_mm_min(fastest_mm_min), least_mu_s, most_mu_s)
+    check(rig, box, max_error, least_elasticity)
+    with show_progress(quiet) as tell:
+        found = fit_predictor(
+            rig, box, max_error=max_error, least_elasticity=least_elasticity, tell=tell
+        )
+        tell("writing", 0.95)
+        report, files = export_report(found, rig), files_of(found, rig)
+    print_and_write(report, export_answer(found, rig), out, files)

@@ -1,0 +1,19 @@
+"""`difffric family`: F_p and d over speed and mu_s."""
+
+from __future__ import annotations
+
+from difffric.commands.console import check_out, print_and_write, show_progress
+from difffric.commands.options import Out, Quiet, Setup, load_rig
+from difffric.commands.reports.family import family_answer, family_report
+from difffric.simulation.families import family as simulate_family
+
+
+def family(setup: Setup, out: Out = None, quiet: Quiet = False) -> None:
+    """Simulate the curve families, and report the fits (3) and (5) and their inverses."""
+    check_out(out)
+    rig = load_rig(setup)
+    with show_progress(quiet) as tell:
+        tell("simulating 494 pushes", 0.0)
+        grid = simulate_family(rig)
+    answer = family_answer(grid)
+    print_and_write(family_report(answer, grid, rig), answer, out)

@@ -1,0 +1,80 @@
+"""`difffric fit`: a part or rig calibrated on measured pushes."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from difffric.calibration.calibrate import fit as calibrate
+from difffric.commands.console import check_out, print_and_write, show_progress
+from difffric.commands.options import Data, DataMass, Out, Quiet, SetupOption, SkipBad
+from difffric.commands.reports import fit as answers
+from difffric.errors import InputError
+from difffric.measurements.load_file import load
+from difffric.measurements.recordings import Recordings
+from difffric.rig.setup_toml import read_setup
+
+
+def fit(
+    data: Data,
+    setup: SetupOption,
+    free: Annotated[
+        list[str] | None, typer.Option(help="a free parameter, once each; default k, b, k_v, mu_s")
+    ] = None,
+    per_condition: Annotated[
+        list[str] | None,
+        typer.Option(help="one value for each condition, once each; default mu_s; none: nothing"),
+    ] = None,
+    prior: Annotated[
+        bool, typer.Option("--prior", help="the set-up's standard errors count as knowledge")
+    ] = False,
+    free_start: Annotated[
+        bool, typer.Option("--free-start", help="a start offset for each recording")
+    ] = False,
+    robust: Annotated[
+        bool, typer.Option("--robust", help="outliers of a table weigh less (Huber)")
+    ] = False,
+    use_data_mass: DataMass = False,
+    skip_bad: SkipBad = False,
+    one_start: Annotated[
+        bool, typer.Option("--one-start", help="search from the set-up's values only")
+    ] = False,
+    profile: Annotated[
+        bool, typer.Option("--profile", help="profile-likelihood intervals too")
+    ] = False,
+    next_push: Annotated[
+        bool, typer.Option("--next-push", help="which push would say most, too")
+    ] = False,
+    out: Out = None,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate on the data and report parameters, errors and what stays open."""
+    check_out(out)
+    answers.check_out(out, setup)
+    rig, loaded = read_setup(setup), load(data, skip_bad=skip_bad)
+    if robust and isinstance(loaded, Recordings):
+        raise InputError(
+            f"--robust: {data}: expected a table; recordings are fitted sample by sample"
+        )
+    chosen = ["mu_s"] if per_condition is None else [x for x in per_condition if x != "none"]
+    with show_progress(quiet) as tell:
+        found = calibrate(
+            rig,
+            loaded,
+            free=free or None,
+            per_condition=chosen,
+            priors=prior,
+            free_start=free_start,
+            robust=robust,
+            several_starts=not one_start,
+            tell=tell,
+            use_data_mass=use_data_mass,
+            skip_bad=skip_bad,
+        )
+        answer = answers.Answer.of(found)
+        answer = answers.with_more(answer, profile, next_push, tell)
+        tell("drawing", 0.99)
+        report = answers.fit_report(answer, pictures=out is not None)
+        files = None if out is None else {"setup.toml": answers.setup_file_of(found)}
+    print_and_write(report, answer.as_dict(), out, files)

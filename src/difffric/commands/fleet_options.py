@@ -1,0 +1,57 @@
+"""What `identify` and `diagnose` need to take a fleet's archive in place of one rig's file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from difffric.errors import InputError
+from difffric.fleet.archive import is_archive
+
+Archive = Annotated[
+    Path,
+    typer.Argument(
+        metavar="DATA",
+        help="measured pushes, .csv or .tdms; of a fleet a folder, or a pattern as 'a/**/*.tdms'",
+        show_default=False,
+    ),
+]
+FleetSetup = Annotated[
+    Path | None,
+    typer.Option(
+        "--setup",
+        help="the rig, a setup.toml; of a fleet, where no folder upwards has one",
+        show_default=False,
+    ),
+]
+Workers = Annotated[int | None, typer.Option(help="a fleet's processes; one needs no dask", min=1)]
+Scheduler = Annotated[str | None, typer.Option(help="a fleet's dask scheduler, tcp://host:port")]
+
+
+def is_fleet(data: Path, workers: int | None, scheduler: str | None) -> bool:
+    """Whether the command is for a fleet: it names processes, or a folder or pattern of files."""
+    return workers is not None or scheduler is not None or is_archive(data)
+
+
+def check_fleet(data: Path, workers: int | None, scheduler: str | None, out: Path | None) -> Path:
+    """Return the folder for what is found in an archive.
+
+    Raises `InputError` where there is none, or where both ways to have workers are asked for.
+    """
+    if out is None:
+        raise InputError(f"--out is missing: expected the folder for what is found in {data}")
+    if workers is not None and scheduler is not None:
+        raise InputError("--workers and --scheduler: expected one of them")
+    return out
+
+
+def check_setup(setup: Path | None, data: Path) -> Path:
+    """Return the set-up's file, which one rig's data need.
+
+    Raises `InputError` where none is given.
+    """
+    if setup is None:
+        raise InputError(f"--setup is missing: expected the set-up of the rig of {data}")
+    return setup

@@ -1,0 +1,76 @@
+"""`difffric identify`: mu_s of each push, of one rig or of a fleet."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from difffric.commands.console import check_out, print_and_write, show_progress
+from difffric.commands.fleet_options import (
+    Archive,
+    FleetSetup,
+    Scheduler,
+    Workers,
+    check_fleet,
+    check_setup,
+    is_fleet,
+)
+from difffric.commands.options import DataMass, Out, Quiet, SkipBad
+from difffric.commands.reports import identify as answers
+from difffric.identification.estimators import identify as identify_pushes
+from difffric.measurements.load_file import load
+from difffric.rig.setup_toml import read_setup
+
+
+def identify(
+    data: Archive,
+    setup: FleetSetup = None,
+    use_data_mass: DataMass = False,
+    skip_bad: SkipBad = False,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    out: Out = None,
+    quiet: Quiet = False,
+) -> None:
+    """Identify mu_s of each push every way that its measurements allow."""
+    check_out(out)
+    if is_fleet(data, workers, scheduler):
+        return _identify_fleet(data, setup, use_data_mass, workers, scheduler, out, quiet)
+    rig, loaded = read_setup(check_setup(setup, data)), load(data, skip_bad=skip_bad)
+    with show_progress(quiet) as tell:
+        found = identify_pushes(
+            rig, loaded, use_data_mass=use_data_mass, skip_bad=skip_bad, tell=tell
+        )
+    answer = answers.identify_answer(found, rig.rig)
+    report = answers.identify_report(found, answer, loaded, out is not None)
+    print_and_write(report, answer, out)
+
+
+def _identify_fleet(
+    data: Path,
+    setup: Path | None,
+    use_data_mass: bool,
+    workers: int | None,
+    scheduler: str | None,
+    out: Path | None,
+    quiet: bool,
+) -> None:
+    """Identify mu_s of all pushes of an archive, into the folder."""
+    folder = check_fleet(data, workers, scheduler, out)
+    # Here, as one rig's pushes need no data frames: 0.2 s.
+    from difffric.commands.reports.fleet import fleet_answer, fleet_report
+    from difffric.fleet.identify_archive import identify_fleet
+
+    with show_progress(quiet) as tell:
+        found = identify_fleet(
+            data,
+            folder,
+            setup=setup,
+            n_workers=workers or 1,
+            scheduler=scheduler,
+            use_data_mass=use_data_mass,
+            tell=tell,
+        )
+        tell("drawing", 1.0)
+        answer = fleet_answer(found)
+        report = fleet_report(found, answer, pictures=True)
+    print_and_write(report, answer, folder)

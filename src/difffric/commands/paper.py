@@ -1,0 +1,16 @@
+"""`difffric paper`: the paper's tables and figures, made anew."""
+
+from __future__ import annotations
+
+from difffric.commands.console import check_out, print_and_write, show_progress
+from difffric.commands.options import Out, Quiet
+from difffric.commands.reports.paper import paper_report
+from difffric.studies.paper import study
+
+
+def paper(out: Out = None, quiet: Quiet = False) -> None:
+    """Report the paper's tables and figures, beside the differentiable model's answers."""
+    check_out(out)
+    with show_progress(quiet) as tell:
+        found = study(tell)
+    print_and_write(paper_report(found), found.as_dict(), out)

@@ -1,0 +1,62 @@
+"""`difffric plan`: the push that brings a part to its target."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from difffric.centering.planning import Known, speeds_between
+from difffric.centering.planning import plan as plan_push
+from difffric.commands.console import check_out, print_and_write, show_progress
+from difffric.commands.options import Out, Quiet, Setup, require_positive
+from difffric.commands.reports import plan as answers
+from difffric.rig.setup_toml import read_setup
+from difffric.units import from_mm, from_mm_min, from_um
+
+
+def plan(
+    setup: Setup,
+    offset_um: Annotated[
+        float | None, typer.Option(help="how far the part is to go; or --ring")
+    ] = None,
+    offset_se_um: Annotated[float, typer.Option(help="its standard error", min=0)] = 0.0,
+    ring: Annotated[
+        Path | None, typer.Option(help="probe readings that the offset is found from, .csv")
+    ] = None,
+    radius_mm: Annotated[
+        float | None, typer.Option(help="the ring's nominal radius, which reading_um counts from")
+    ] = None,
+    mu_s: Annotated[float | None, typer.Option(help="instead of the set-up's")] = None,
+    mu_s_se: Annotated[
+        float | None, typer.Option(help="its standard error, instead of the set-up's", min=0)
+    ] = None,
+    slowest_mm_min: Annotated[float, typer.Option(help="of the speeds to choose from")] = 500.0,
+    fastest_mm_min: Annotated[float, typer.Option(help="likewise")] = 5000.0,
+    within_um: Annotated[float, typer.Option(help="of the target")] = 2.5,
+    reach_mm: Annotated[float, typer.Option(help="how far the rails let a part go")] = 20.0,
+    out: Out = None,
+    quiet: Quiet = False,
+) -> None:
+    """Report the best push, or two, and how likely the part lands within the tolerance."""
+    check_out(out)
+    require_positive("--within-um", within_um)
+    require_positive("--reach-mm", reach_mm)
+    require_positive("--mu-s", mu_s)
+    require_positive("--radius-mm", radius_mm)
+    said = answers.with_mu_s(read_setup(setup), mu_s, mu_s_se)
+    offset, error, found = answers.offset_of(offset_um, offset_se_um, ring, radius_mm)
+    known = Known.of(
+        said,
+        speeds=speeds_between(from_mm_min(slowest_mm_min), from_mm_min(fastest_mm_min)),
+        within=from_um(within_um),
+        reach=from_mm(reach_mm),
+    )
+    with show_progress(quiet) as tell:
+        tell("planning", 0.0)
+        planned = plan_push(known, offset, error)
+    answer = answers.plan_answer(planned, known, found, answers.notes_on(said))
+    print_and_write(
+        answers.plan_report(planned, known, answer, found, out is not None), answer, out
+    )

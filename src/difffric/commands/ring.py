@@ -1,0 +1,49 @@
+"""`difffric ring`: a ring's offset, from probe readings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from difffric.centering.ring import measure
+from difffric.centering.ring_csv import load_ring
+from difffric.commands.console import check_out, print_and_write
+from difffric.commands.options import Out, require_positive
+from difffric.commands.reports.ring import ring_report
+from difffric.errors import InputError
+from difffric.units import from_mm, from_um
+
+
+def ring(
+    readings: Annotated[Path, typer.Argument(help="probe readings, .csv", show_default=False)],
+    radius_mm: Annotated[
+        float | None, typer.Option(help="the nominal radius that reading_um counts from")
+    ] = None,
+    noise_um: Annotated[
+        float | None, typer.Option(help="of one reading; estimated unless given")
+    ] = None,
+    lobes: Annotated[
+        int | None, typer.Option(help="highest order of lobes, 1: none; else by the readings")
+    ] = None,
+    form_um: Annotated[
+        float, typer.Option(help="amplitude of lobes that a ring may have unseen")
+    ] = 1.0,
+    out: Out = None,
+) -> None:
+    """Report a ring's offset from the axis and its direction."""
+    check_out(out)
+    require_positive("--radius-mm", radius_mm)
+    require_positive("--noise-um", noise_um)
+    if not 0 <= form_um < 1e6:
+        raise InputError(f"--form-um: expected a number >= 0, got {form_um:g}")
+    nominal = None if radius_mm is None else from_mm(radius_mm)
+    angle, radius = load_ring(readings, nominal)
+    noise = None if noise_um is None else from_um(noise_um)
+    try:
+        found = measure(angle, radius, noise=noise, lobes=lobes, form=from_um(form_um))
+    except InputError as error:
+        raise InputError(f"{readings}: {error}") from None
+    report = ring_report(found, angle, radius, pictures=out is not None)
+    print_and_write(report, {"readings_file": str(readings), **found.as_dict()}, out)

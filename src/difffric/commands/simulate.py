@@ -1,0 +1,36 @@
+"""`difffric simulate`: one push of a set-up's rig."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from difffric.commands.console import check_out, print_and_write, show_progress
+from difffric.commands.options import Out, Quiet, Setup, load_rig, require_positive
+from difffric.commands.reports.simulate import (
+    simulate_answer,
+    simulate_pictures,
+    simulate_report,
+)
+from difffric.units import from_mm_min
+
+
+def simulate(
+    setup: Setup,
+    velocity_mm_min: Annotated[float, typer.Option(help="pusher speed [mm/min]")],
+    mu_s: Annotated[float | None, typer.Option(help="instead of the set-up's")] = None,
+    mass_kg: Annotated[float | None, typer.Option(help="instead of the set-up's")] = None,
+    stroke_mm: Annotated[float | None, typer.Option(help="instead of the set-up's")] = None,
+    out: Out = None,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate one push and report F_p, d, regime and their derivatives."""
+    check_out(out)
+    rig = load_rig(setup, mu_s, mass_kg, stroke_mm)
+    require_positive("--velocity-mm-min", velocity_mm_min)
+    with show_progress(quiet) as tell:
+        tell("simulating", 0.0)
+        answer = simulate_answer(rig, from_mm_min(velocity_mm_min))
+    pictures = () if out is None else simulate_pictures(rig, from_mm_min(velocity_mm_min))
+    print_and_write(simulate_report(answer, velocity_mm_min, rig, pictures), answer, out)
