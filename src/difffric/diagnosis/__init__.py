@@ -28,3 +28,7 @@ with a derivative at its null is listed in `starting_values.SMOOTH_AT_NULL` and 
 `shape_scan.SHAPED` instead. `data` says with which data it cannot be seen. CONTRIBUTING, "Add an
 effect", has the whole recipe.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

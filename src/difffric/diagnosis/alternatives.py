@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.score_test import step_off_null
-from difffric.estimation import ensemble as en
-from difffric.estimation import ensemble_refits
-from difffric.estimation.ensemble import Fits, Task
+from difffric.estimation import ensemble, ensemble_refits
+from difffric.estimation.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import numbers_of
 
 _PARALLEL = 0.8
@@ -26,7 +25,7 @@ _ROUNDS = 15
 
 
 def find_alternatives(
-    task: Task, plain: Fits, base: Fits, cause: CandidateCause, others: Sequence[str]
+    task: EnsembleTask, plain: Fits, base: Fits, cause: CandidateCause, others: Sequence[str]
 ) -> list[CandidateCause]:
     """Put each of the effects `others` in the place of a cause, where their derivatives are
     parallel, and return the refitted models.
@@ -37,7 +36,7 @@ def find_alternatives(
     mine = task.model.coordinates.indices(numbers_of(cause.effect))
     if not set(mine) <= set(base.extra[0]):  # a ratio, free in the plain model too
         return []
-    before, out = float(en.criterion(task, base)[0]), []
+    before, out = float(ensemble.criterion(task, base)[0]), []
     for effect in others:
         index = task.model.coordinates.indices(numbers_of(effect))
         if len(index) > 1 or set(index) <= set(base.extra[0]):
@@ -51,8 +50,8 @@ def find_alternatives(
         c[0, index] = np.clip(c[0, index], low, high)
         extra = (*(i for i in base.extra[0] if i not in mine), *index)
         at = replace(base, extra=(extra,), c=c, gram=None, residual=None, damping=None)
-        at = ensemble_refits.refitted(task, at, _ROUNDS)
-        drop = cause.drop + before - float(en.criterion(task, at)[0])
+        at = ensemble_refits.refit(task, at, _ROUNDS)
+        drop = cause.drop + before - float(ensemble.criterion(task, at)[0])
         penalised = drop - len(index) * task.price
         out.append(
             replace(
@@ -63,13 +62,13 @@ def find_alternatives(
 
 
 def _measure_overlap(
-    task: Task, plain: Fits, base: Fits, mine: list[int], index: list[int]
+    task: EnsembleTask, plain: Fits, base: Fits, mine: list[int], index: list[int]
 ) -> tuple[float, NDArray]:
     """Return the share of the information on the coordinates `index` of an effect that the cause's
     coordinates `mine` take, all else projected out; and the effect's size that does what the cause
     does."""
     at = step_off_null(task, replace(base, extra=((*base.extra[0], *index),)))
-    H = en.normal(task, en.evaluated(task, at)).H[0]
+    H = ensemble.normal_equations(task, ensemble.evaluate(task, at)).H[0]
     known = task.conditions + len(task.shared)
     a = known + np.array([base.extra[0].index(i) for i in mine])
     b = known + len(base.extra[0]) + np.arange(len(index))

@@ -31,8 +31,7 @@ from difffric.diagnosis.verdict import (
     HeldOutGain,
     describe_cause,
 )
-from difffric.estimation import ensemble as en
-from difffric.estimation import ensemble_refits
+from difffric.estimation import ensemble, ensemble_refits
 from difffric.estimation.ensemble import Fits
 from difffric.estimation.extended_model import SLIDES
 from difffric.progress import Tell
@@ -194,7 +193,7 @@ def _measure_gain(found: Findings) -> tuple[HeldOutGain, tuple[str, ...]]:
     floor = float(np.sqrt(max(numbers - spent, 1) / numbers))
     before, after = (float(np.sqrt(h.sum() / numbers)) for h in held)
     notes = ()
-    if np.max(held) >= en.REJECTED:
+    if np.max(held) >= ensemble.REJECTED:
         notes = ("a held-out push could not be followed: its error is without meaning",)
     return HeldOutGain(before, after, floor), notes
 
@@ -215,7 +214,7 @@ def _locate_unexplained(
     if found.compiling is not None:
         found.compiling.join()
     location = locate(task, plain, found.data.scales, found.lack.excess)
-    drop = float(en.criterion(task, plain)[0] - en.criterion(task, extended)[0])
+    drop = float(ensemble.criterion(task, plain)[0] - ensemble.criterion(task, extended)[0])
     numbers = len(extended.extra[0]) - len(plain.extra[0])
     if left > LEFT or location.penalised_drop > drop - numbers * task.price:
         return location
@@ -268,7 +267,7 @@ def _plan_experiments(
         c[0, coordinates.indices(names)] = coordinates.point(typical)
         # As large as is typical, and hidden in these data by what else is free.
         there = replace(extended, c=c, gram=None, residual=None, damping=None)
-        hidden = ensemble_refits.refitted(task, there, _HIDING)
+        hidden = ensemble_refits.refit(task, there, _HIDING)
         pairs.append(Pair((effect, "plain"), hidden, extended))
     return plan_experiments(found.data, pairs)
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.estimation import ensemble_refits
-from difffric.estimation.ensemble import Fits, Task
+from difffric.estimation.ensemble import EnsembleTask, Fits
 
 _MOST_FOLDS = 20
 """Folds at most: each push is one of its own up to so many pushes."""
@@ -18,7 +18,7 @@ _MOST_FOLDS = 20
 class CrossValidation:
     """A data set, and the fold of each push; a push is predicted from the pushes of other folds."""
 
-    task: Task
+    task: EnsembleTask
     folds: NDArray
     """(n,) numbers of the folds"""
 
@@ -30,7 +30,7 @@ class CrossValidation:
 
     def measure_surprise(self, fits: Fits) -> float:
         """Return -2 log likelihood of the held-out pushes under `fits` (an ensemble of one)."""
-        return float(ensemble_refits.held_out(self.task, fits, self.folds).surprise.sum())
+        return float(ensemble_refits.predict_held_out(self.task, fits, self.folds).surprise.sum())
 
     def is_better(self, new: Fits, base: Fits) -> bool:
         """Whether `new` predicts held-out pushes better than `base`, with `new`'s spreads."""
@@ -43,11 +43,13 @@ class CrossValidation:
         would fit, as a free slide's, is judged in units of the plain model's scatter of mu_s,
         `plain_scatter` (1,).
         """
-        found = ensemble_refits.held_out(self.task, replace(fits, spread=spread), self.folds)
+        found = ensemble_refits.predict_held_out(
+            self.task, replace(fits, spread=spread), self.folds
+        )
         if not self.single:
             return found.squares
         plain = replace(fits, scatter=plain_scatter)
-        return ensemble_refits.held_out(self.task, plain, self.folds).penalised
+        return ensemble_refits.predict_held_out(self.task, plain, self.folds).penalised
 
 
 def assign_folds(velocity: NDArray, by_speed: bool) -> NDArray:

@@ -1,4 +1,4 @@
-"""Measured pushes as a diagnosis takes them, beside the plain fit from which it starts."""
+"""Pushes pushes as a diagnosis takes them, beside the plain fit from which it starts."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 from difffric.calibration.result import Fit
 from difffric.estimation.block_means import stack_uneven
 from difffric.estimation.effect_coordinates import PLAIN, Coordinates
-from difffric.estimation.ensemble import Fits, Task
+from difffric.estimation.ensemble import EnsembleTask, Fits
 from difffric.estimation.extended_model import (
     PRESLIDING,
     RECORDINGS,
     SLIDES,
     TABLE,
     ExtendedModel,
-    Pushes,
+    StackedPushes,
 )
-from difffric.estimation.stacked_data import strokes_of
-from difffric.measurements.pushes import Pushes as Measured
+from difffric.estimation.stacked_data import find_strokes
+from difffric.measurements.pushes import Pushes
 from difffric.measurements.reduction.reduce import Reduction
 from difffric.rig import parameters
 from difffric.rig.catalogue import CATALOGUE, FORCE, PROBE, RATIO, extended, numbers_of
@@ -38,9 +38,9 @@ IN_SLIDES = ("quadratic_drag", "stribeck", "friction_drift", "normal_force")
 class DiagnosisData:
     """What is compared: the task, its scales, and the effects that can be looked for."""
 
-    task: Task
+    task: EnsembleTask
     scales: Scales
-    measured: Measured
+    measured: Pushes
     looked_for: tuple[str, ...]
     impossible: dict[str, str]
     """effects that these data cannot show, with the reason"""
@@ -49,7 +49,7 @@ class DiagnosisData:
 
 
 def prepare_data(
-    rig: Rig, measured: Measured, reduction: Reduction | None, noise: NDArray | None = None
+    rig: Rig, measured: Pushes, reduction: Reduction | None, noise: NDArray | None = None
 ) -> DiagnosisData:
     """Set the data of a table, of free slides or of recordings against a plain rig.
 
@@ -60,7 +60,7 @@ def prepare_data(
     if slides:
         measured = replace(measured, velocity=measured.release_velocity)
     n = len(measured)
-    _, strokes = strokes_of(rig, measured.stroke)
+    _, strokes = find_strokes(rig, measured.stroke)
     order = measured.order if np.isfinite(measured.order).all() else np.arange(n, dtype=float)
     span = np.ptp(order)
     mass = np.where(np.isnan(measured.mass), float(rig.mass), measured.mass)
@@ -77,16 +77,20 @@ def prepare_data(
         counts = np.stack([(blocks.a > 0).sum(axis=1) for blocks in data], axis=1).astype(float)
         open_ = (False, False)
         left_out, kind = NOT_IN_RECORDINGS, RECORDINGS
-    pushes = Pushes(
-        measured.velocity, mass, strokes, (order - order.min()) / (span or 1.0),
-        np.nan_to_num(rest), data,
-    )  # fmt: skip
+    pushes = StackedPushes(
+        measured.velocity,
+        mass,
+        strokes,
+        (order - order.min()) / (span or 1.0),
+        np.nan_to_num(rest),
+        data,
+    )
     every = {e: {} for e in CATALOGUE if e not in left_out}
     plain = parameters.with_stroke(rig, 1.0)
     coordinates = Coordinates.of(extended(plain, every))
     whole = extended(plain, {e: keys for e, keys in every.items() if e != PRESLIDING})
     names = list(dict.fromkeys(measured.condition))
-    task = Task(
+    task = EnsembleTask(
         model=ExtendedModel(coordinates, whole, pushes, kind),
         shared=(),
         condition=np.array([names.index(c) for c in measured.condition]),
@@ -99,7 +103,7 @@ def prepare_data(
 
 
 def _stack_table(
-    measured: Measured, noise: NDArray
+    measured: Pushes, noise: NDArray
 ) -> tuple[tuple[NDArray, NDArray], NDArray, tuple[bool, bool]]:
     """Return the numbers of a table and their weights (n, 2), how many numbers there are (n, 2),
     and whether the noise of F_p and of d is to be estimated."""
@@ -114,7 +118,7 @@ def _stack_table(
 
 
 def _list_impossible(
-    measured: Measured, reduction: Reduction | None, mass: NDArray, span: float, slides: bool
+    measured: Pushes, reduction: Reduction | None, mass: NDArray, span: float, slides: bool
 ) -> dict[str, str]:
     """List the effects that these data have no way to show, each with the reason.
 
@@ -148,7 +152,7 @@ def _list_impossible(
     return out
 
 
-def _estimate_scales(rig: Rig, measured: Measured, strokes: NDArray, mass: NDArray) -> Scales:
+def _estimate_scales(rig: Rig, measured: Pushes, strokes: NDArray, mass: NDArray) -> Scales:
     """Estimate what the pushes are like from what was measured; `strokes` [m], `mass` [kg] (n,)."""
     F, d = measured.peak_force, measured.sliding_distance
     mu = float(parameters.values(rig)["mu_s"])
@@ -158,11 +162,16 @@ def _estimate_scales(rig: Rig, measured: Measured, strokes: NDArray, mass: NDArr
     finite = strokes[np.isfinite(strokes)]
     travel = float(np.median(finite)) if len(finite) else 10 * contact
     return Scales(
-        mass=float(mass.mean()), mu_s=mu, fastest=float(measured.velocity.max()),
-        slowest=float(measured.velocity.min()), peak=peak, reach=travel + slid, travel=travel,
+        mass=float(mass.mean()),
+        mu_s=mu,
+        fastest=float(measured.velocity.max()),
+        slowest=float(measured.velocity.min()),
+        peak=peak,
+        reach=travel + slid,
+        travel=travel,
         compression=1.2 * contact,
         ways=np.where(np.isfinite(strokes), strokes, travel) + np.nan_to_num(d),
-    )  # fmt: skip
+    )
 
 
 def join_plain_fit(data: DiagnosisData, fit: Fit) -> tuple[DiagnosisData, Fits]:

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from difffric.diagnosis.score_test import Score, compute_p_value, step_off_null
 from difffric.diagnosis.shape_scan import SHAPED, is_within_travel, scan_shapes
 from difffric.diagnosis.starting_values import list_starting_values
-from difffric.estimation import ensemble as en
-from difffric.estimation import ensemble_refits
-from difffric.estimation.ensemble import Fits, Task, subset_of
+from difffric.estimation import ensemble, ensemble_refits
+from difffric.estimation.ensemble import EnsembleTask, Fits, choose_subset
 from difffric.rig.catalogue import RATIO, numbers_of
 from difffric.rig.scales import Scales
 
@@ -61,7 +60,7 @@ class CandidateCause:
 class _EffectSearch:
     """What the two searches are given."""
 
-    task: Task
+    task: EnsembleTask
     base: Fits
     """an ensemble of one: the model that the effects are added to"""
     effects: list[str]
@@ -82,7 +81,7 @@ class _EffectSearch:
 
 
 def explore(
-    task: Task,
+    task: EnsembleTask,
     base: Fits,
     effects: Sequence[str],
     scales: Scales,
@@ -96,11 +95,11 @@ def explore(
     """
     search = _EffectSearch(task, base, list(effects), scales, scores, tell)
     fits, names = _search_far(search) if far else _search_near(search)
-    before = float(en.criterion(task, base)[0])
+    before = float(ensemble.criterion(task, base)[0])
     fits, names = _keep_promising(task, fits, names, before)
     fits = _refit_to_the_end(task, fits, far)
     tell(0.95)
-    value = en.criterion(task, fits)
+    value = ensemble.criterion(task, fits)
     found = []
     for j, effect in enumerate(names):
         if is_within_travel(task, fits.c[j], effect, scales):
@@ -113,21 +112,25 @@ def explore(
     return sorted(found, key=lambda cause: -cause.penalised_drop)
 
 
-def is_promising(task: Task, base: Fits, effect: str, scales: Scales) -> bool:
+def is_promising(task: EnsembleTask, base: Fits, effect: str, scales: Scales) -> bool:
     """Whether one step from any size on an effect's grid promises to be better than `base`, on some
     pushes."""
-    some = subset_of(task)
-    fits = en.evaluated(task, _make_starts(task, base, effect, scales, some), some)
+    some = choose_subset(task)
+    fits = ensemble.evaluate(task, _make_starts(task, base, effect, scales, some), some)
     _, promised = _predict_cost(task, fits)
-    return bool(promised.min() < en.penalised(task, base, some)[0])
+    return bool(promised.min() < ensemble.sum_squares(task, base, some)[0])
 
 
-def _refit_to_the_end(task: Task, fits: Fits, far: bool) -> Fits:
+def _refit_to_the_end(task: EnsembleTask, fits: Fits, far: bool) -> Fits:
     """Refit to all pushes, once more where a push's own mu_s turns out to be on another branch."""
-    at = ensemble_refits.reowned(task, fits) if far else fits
-    fits = ensemble_refits.refitted(task, at, _ROUNDS)
-    again = ensemble_refits.reowned(task, fits) if far else ensemble_refits.resettled(task, fits)
-    return fits if again is fits else ensemble_refits.refitted(task, again, _ROUNDS)
+    at = ensemble_refits.rescan_bad_pushes(task, fits) if far else fits
+    fits = ensemble_refits.refit(task, at, _ROUNDS)
+    again = (
+        ensemble_refits.rescan_bad_pushes(task, fits)
+        if far
+        else ensemble_refits.rescan_loose_pushes(task, fits)
+    )
+    return fits if again is fits else ensemble_refits.refit(task, again, _ROUNDS)
 
 
 def _search_near(search: _EffectSearch) -> tuple[Fits, list[str]]:
@@ -145,23 +148,23 @@ def _search_near(search: _EffectSearch) -> tuple[Fits, list[str]]:
         starts = _make_starts(task, search.base, effect, search.scales, every, far=False)
         parts.append(starts)
         behind = [*behind, *[effect] * starts.m]
-    fits = en.evaluated(task, en.together(*parts))
+    fits = ensemble.evaluate(task, ensemble.join(*parts))
     search.tell(0.3)
     _, promised = _predict_cost(task, fits)
     keep = []
     for effect in dict.fromkeys(behind):
         mine = np.array([j for j, x in enumerate(behind) if x == effect])
         keep += mine[np.argsort(promised[mine])[:2]].tolist()
-    fits, behind = ensemble_refits.refitted(task, fits.pick(keep), 3), [behind[j] for j in keep]
+    fits, behind = ensemble_refits.refit(task, fits.pick(keep), 3), [behind[j] for j in keep]
     # What shows only where a push sticks is a matter of branches.
     jumps = [j for j, effect in enumerate(behind) if search.is_blind(effect)]
     if jumps:
-        branch = ensemble_refits.resettled(task, fits.pick(jumps))
-        fits = ensemble_refits.replaced(
-            fits, np.array(jumps), ensemble_refits.refitted(task, branch, 3)
+        branch = ensemble_refits.rescan_loose_pushes(task, fits.pick(jumps))
+        fits = ensemble_refits.replace_fits(
+            fits, np.array(jumps), ensemble_refits.refit(task, branch, 3)
         )
     search.tell(0.6)
-    cost = en.criterion(task, fits)
+    cost = ensemble.criterion(task, fits)
     charged = cost + task.price * np.array([len(numbers_of(effect)) for effect in behind])
     best = sorted(_find_best_of_each(cost, behind), key=lambda j: charged[j])[:_LEADERS]
     return fits.pick(best), [behind[j] for j in best]
@@ -173,20 +176,20 @@ def _search_far(search: _EffectSearch) -> tuple[Fits, list[str]]:
     task, effects = search.task, search.effects
     # A table's pushes are followed in less time: all of them, by more effects.
     quick = not task.model.recordings
-    some = np.arange(task.n) if quick else subset_of(task)
+    some = np.arange(task.n) if quick else choose_subset(task)
     fits, owner = _scan_grids(search, some)
     most = 2 * _LEADERS if quick else _LEADERS
-    leaders = list(np.argsort(en.criterion(task, fits))[:most])
+    leaders = list(np.argsort(ensemble.criterion(task, fits))[:most])
     fits, owner = fits.pick(leaders), owner[leaders]
     starts = _extend_to_all_pushes(search, fits, owner, some)
     behind = np.tile(owner, 2)
     # And from where the score tests lead, whatever became of those effects on the grid.
     scored = dict.fromkeys([*(effects[int(k)] for k in owner), *search.by_score[:_SCORED]])
     near, known = _start_from_scores(search, list(scored))
-    starts = en.evaluated(task, en.together(starts, near) if near.m else starts)
+    starts = ensemble.evaluate(task, ensemble.join(starts, near) if near.m else starts)
     behind = np.append(behind, [effects.index(effect) for effect in known]).astype(int)
     first = _find_best_of_each(_predict_cost(task, starts)[1], behind)
-    fits, owner = ensemble_refits.refitted(task, starts.pick(first), 2), behind[first]
+    fits, owner = ensemble_refits.refit(task, starts.pick(first), 2), behind[first]
     return fits, [effects[int(k)] for k in owner]
 
 
@@ -198,7 +201,7 @@ def _scan_grids(search: _EffectSearch, some: NDArray) -> tuple[Fits, NDArray]:
     bases = [base, replace(base, own=np.zeros_like(base.own))] if task.mu_free else [base]
     starts = [_make_starts(task, at, e, search.scales, some) for at in bases for e in effects]
     origin = np.concatenate([np.full(one.m, k) for k, one in enumerate(starts)])
-    fits, owner = en.evaluated(task, en.together(*starts), some), origin % len(effects)
+    fits, owner = ensemble.evaluate(task, ensemble.join(*starts), some), origin % len(effects)
     search.tell(0.25)
     cost, promised = _predict_cost(task, fits)
     # Of each effect the best by what one step promises, and the best as it stands.
@@ -207,19 +210,19 @@ def _scan_grids(search: _EffectSearch, some: NDArray) -> tuple[Fits, NDArray]:
         mine = np.flatnonzero(origin == k)
         chosen |= {mine[np.argmin(promised[mine])], mine[np.argmin(cost[mine])]}
     keep = np.array(sorted(chosen))
-    fits, owner = ensemble_refits.refitted(task, fits.pick(keep), 3, some), owner[keep]
+    fits, owner = ensemble_refits.refit(task, fits.pick(keep), 3, some), owner[keep]
     search.tell(0.5)
-    first = np.argsort(en.settled_cost(task, fits))[:_RESCANNED]
-    fits, owner = ensemble_refits.reowned(task, fits.pick(first), some), owner[first]
-    fits = ensemble_refits.refitted(task, fits, 2, some)
-    best = _find_best_of_each(en.criterion(task, fits), owner)
-    fits, owner = ensemble_refits.refitted(task, fits.pick(best), 4, some), owner[best]
+    first = np.argsort(ensemble.profile_cost(task, fits))[:_RESCANNED]
+    fits, owner = ensemble_refits.rescan_bad_pushes(task, fits.pick(first), some), owner[first]
+    fits = ensemble_refits.refit(task, fits, 2, some)
+    best = _find_best_of_each(ensemble.criterion(task, fits), owner)
+    fits, owner = ensemble_refits.refit(task, fits.pick(best), 4, some), owner[best]
     search.tell(0.65)
     return fits, owner
 
 
 def _make_starts(
-    task: Task, base: Fits, effect: str, scales: Scales, some: NDArray, far: bool = True
+    task: EnsembleTask, base: Fits, effect: str, scales: Scales, some: NDArray, far: bool = True
 ) -> Fits:
     """Return starts for one effect on top of `base` (an ensemble of one), at each of the sizes that
     it may have."""
@@ -247,11 +250,11 @@ def _start_from_scores(search: _EffectSearch, effects: Iterable[str]) -> tuple[F
         index = task.model.coordinates.indices(numbers_of(effect))
         at_null = _place_effect(task, base, effect, base.c[:, index])
         parts.append(step_off_null(task, at_null))
-    fits = en.evaluated(task, en.together(*parts))
-    return replace(ensemble_refits.moved(task, fits, 0.0), residual=None), known
+    fits = ensemble.evaluate(task, ensemble.join(*parts))
+    return replace(ensemble_refits.take_step(task, fits, 0.0), residual=None), known
 
 
-def _place_effect(task: Task, base: Fits, effect: str, rows: NDArray) -> Fits:
+def _place_effect(task: EnsembleTask, base: Fits, effect: str, rows: NDArray) -> Fits:
     """Repeat `base` with the coordinates of an effect, which are free, at each of `rows`
     (m, numbers)."""
     index = task.model.coordinates.indices(numbers_of(effect))
@@ -263,10 +266,10 @@ def _place_effect(task: Task, base: Fits, effect: str, rows: NDArray) -> Fits:
 
 
 def _keep_promising(
-    task: Task, fits: Fits, names: Sequence[str], before: float
+    task: EnsembleTask, fits: Fits, names: Sequence[str], before: float
 ) -> tuple[Fits, list[str]]:
     """Keep those that explain a fair share of what the best does by now, and the first few."""
-    gain = before - en.criterion(task, fits)
+    gain = before - ensemble.criterion(task, fits)
     order: list[int] = np.argsort(-gain).tolist()
     keep = [
         j for k, j in enumerate(order) if k < _ALWAYS_KEPT or gain[j] > _FAIR_SHARE * gain[order[0]]
@@ -293,13 +296,13 @@ def _extend_to_all_pushes(search: _EffectSearch, fits: Fits, owner: NDArray, som
         index = task.model.coordinates.indices(numbers_of(search.effects[int(k)]))
         c[j, index] = fits.c[j, index]
     alone = replace(back, extra=fits.extra, c=c, gram=None, residual=None, damping=None)
-    return en.together(whole, alone)
+    return ensemble.join(whole, alone)
 
 
-def _predict_cost(task: Task, fits: Fits) -> tuple[NDArray, NDArray]:
+def _predict_cost(task: EnsembleTask, fits: Fits) -> tuple[NDArray, NDArray]:
     """Return the (m,) costs as they stand, and what one step promises that they would be."""
-    found = en.normal(task, fits)
-    gain = np.einsum("mp,mp->m", en.solve(found.H, found.g), found.g)
+    found = ensemble.normal_equations(task, fits)
+    gain = np.einsum("mp,mp->m", ensemble.solve(found.H, found.g), found.g)
     return found.cost, found.cost + np.minimum(gain, 0.0)
 
 

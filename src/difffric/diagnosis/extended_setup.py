@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from difffric.estimation import ensemble as en
+from difffric.estimation import ensemble
 from difffric.estimation.effect_coordinates import PLAIN
-from difffric.estimation.ensemble import Fits, Task
+from difffric.estimation.ensemble import EnsembleTask, Fits
 from difffric.rig import catalogue, parameters
 from difffric.rig.friction import innermost
 from difffric.rig.rig import Rig
@@ -21,14 +21,17 @@ def strip_effects(setup: Setup) -> tuple[Setup, dict[str, float]]:
     known = {n: float(parameters.values(rig)[n]) for n in catalogue.parameter_names(rig)}
     extras = {name: x for name, x in setup.extras.items() if name not in catalogue.KEYS}
     plain = replace(
-        rig, friction=innermost(rig.friction), contact=innermost(rig.contact),
-        pusher=innermost(rig.pusher), force_sensor=innermost(rig.force_sensor),
+        rig,
+        friction=innermost(rig.friction),
+        contact=innermost(rig.contact),
+        pusher=innermost(rig.pusher),
+        force_sensor=innermost(rig.force_sensor),
         probe=innermost(rig.probe),
-    )  # fmt: skip
+    )
     return replace(setup, rig=plain, extras=extras), known
 
 
-def extend_rig(plain: Rig, task: Task, fits: Fits) -> Rig:
+def extend_rig(plain: Rig, task: EnsembleTask, fits: Fits) -> Rig:
     """Return the plain rig with the numbers and effects that `fits` (an ensemble of one) has."""
     coordinates = task.model.coordinates
     values: dict[str, float] = dict(zip(PLAIN, coordinates.values(fits.c[0], PLAIN), strict=True))
@@ -42,11 +45,11 @@ def extend_rig(plain: Rig, task: Task, fits: Fits) -> Rig:
     return catalogue.extended(parameters.with_values(plain, values), inside)
 
 
-def extend_setup(setup: Setup, rig: Rig, task: Task, fits: Fits) -> Setup:
+def extend_setup(setup: Setup, rig: Rig, task: EnsembleTask, fits: Fits) -> Setup:
     """Return the set-up as it is written to a file: the extended `rig`, its numbers' standard
     errors by `fits` (an ensemble of one), and what is free."""
     coordinates = task.model.coordinates
-    C = en.covariance(task, fits)[0][task.conditions :, task.conditions :]
+    C = ensemble.covariance(task, fits)[0][task.conditions :, task.conditions :]
     extras = dict(setup.extras)
     columns = [*task.shared, *fits.extra[0]]
     names = [coordinates.names[i] for i in columns]

@@ -56,8 +56,10 @@ def find_unreachable(measured: Pushes, rig: Rig) -> tuple[Certificate, ...]:
     over = measured.sliding_distance - _BEYOND * np.nan_to_num(measured.sliding_distance_se)
     return tuple(
         Certificate(
-            int(i), float(measured.velocity[i]), float(measured.sliding_distance[i]),
+            int(i),
+            float(measured.velocity[i]),
+            float(measured.sliding_distance[i]),
             float(bound[i]),
         )
         for i in np.flatnonzero(over > bound)
-    )  # fmt: skip
+    )

@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from difffric.estimation.ensemble import Fits, Task
+from difffric.estimation.ensemble import EnsembleTask, Fits
 
 BINS = 12
 """Stretches that each channel of a push is cut into: a misfit lasts longer than a sample."""
@@ -31,14 +31,14 @@ class LackOfFit:
     """(n, 2) of each push and channel"""
 
 
-def is_misfit_large(task: Task, fits: Fits) -> bool:
+def is_misfit_large(task: EnsembleTask, fits: Fits) -> bool:
     """Whether a fit (an ensemble of one) leaves so much, relative to the noise, that what is
     linear at an effect's null is not to be trusted; or nothing is known of the noise."""
     left = measure_lack_of_fit(task, fits)
     return left.p_value is None or left.excess > _LINEAR * left.expected
 
 
-def measure_lack_of_fit(task: Task, fits: Fits) -> LackOfFit:
+def measure_lack_of_fit(task: EnsembleTask, fits: Fits) -> LackOfFit:
     """Test the residuals of a fit (an ensemble of one) where it stands.
 
     Recordings are tested by sums over stretches of each push, a table by its numbers and by how

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.estimation import ensemble as en
-from difffric.estimation import ensemble_refits
-from difffric.estimation.ensemble import Fits, Task, subset_of
+from difffric.estimation import ensemble, ensemble_refits
+from difffric.estimation.ensemble import EnsembleTask, Fits, choose_subset
 from difffric.rig import free_form
 from difffric.rig.free_form import FORMS
 from difffric.rig.scales import Scales
@@ -60,7 +59,7 @@ class Location:
         }
 
 
-def add_free_forms(task: Task, scales: Scales) -> Task:
+def add_free_forms(task: EnsembleTask, scales: Scales) -> EnsembleTask:
     """Return the task with all free forms, whose coefficients are assumed to be small."""
     model = task.model
     coordinates = model.coordinates.with_forms()
@@ -74,7 +73,7 @@ def add_free_forms(task: Task, scales: Scales) -> Task:
     )
 
 
-def locate(task: Task, plain: Fits, scales: Scales, excess: float) -> Location:
+def locate(task: EnsembleTask, plain: Fits, scales: Scales, excess: float) -> Location:
     """Locate what a plain fit (an ensemble of one) leaves unexplained.
 
     `excess` is the chi-square of the plain fit beyond the noise's, of which each form explains a
@@ -93,17 +92,17 @@ def locate(task: Task, plain: Fits, scales: Scales, excess: float) -> Location:
     at = replace(start, extra=tuple(extra), c=c, gram=None, residual=None, damping=None)
     price = np.array([len(x) - len(plain.extra[0]) for x in extra]) * task.price
     # All forms to some of the pushes; those that lead, to all.
-    some = subset_of(task) if task.model.recordings else np.arange(task.n)
-    first = ensemble_refits.refitted(wide, at, _FIRST_ROUNDS, some)
+    some = choose_subset(task) if task.model.recordings else np.arange(task.n)
+    first = ensemble_refits.refit(wide, at, _FIRST_ROUNDS, some)
     share = task.counts[some].sum() / task.counts.sum()
-    explained = en.penalised(task, plain, some)[0] - en.penalised(wide, first, some)
+    explained = ensemble.sum_squares(task, plain, some)[0] - ensemble.sum_squares(wide, first, some)
     leaders = np.argsort(share * price - explained)[:_LEADERS]
     explained = np.clip(explained / max(share * excess, 1.0), 0, 1)
     own = plain.own[np.zeros(len(leaders), int)]
     own[:, some] = first.own[leaders][:, some]
     at = replace(first.pick(leaders), own=own, gram=None, residual=None, damping=None)
-    at = ensemble_refits.refitted(wide, at, _ROUNDS)
-    drop = float(en.criterion(task, plain)[0]) - en.criterion(wide, at)
+    at = ensemble_refits.refit(wide, at, _ROUNDS)
+    drop = float(ensemble.criterion(task, plain)[0]) - ensemble.criterion(wide, at)
     explained[leaders] = np.clip(drop / max(excess, 1.0), 0, 1)
     best = int(np.argmax(drop - price[leaders]))
     name = list(FORMS)[leaders[best]]
@@ -113,7 +112,7 @@ def locate(task: Task, plain: Fits, scales: Scales, excess: float) -> Location:
 
 
 def _make_location(
-    task: Task,
+    task: EnsembleTask,
     at: Fits,
     name: str,
     scales: Scales,
@@ -127,7 +126,7 @@ def _make_location(
     index = task.model.coordinates.indices(free_form.names(name))
     columns = [*task.shared, *at.extra[0]]
     mine = task.conditions + np.array([columns.index(i) for i in index])
-    C = en.covariance(task, at)[0][np.ix_(mine, mine)]
+    C = ensemble.covariance(task, at)[0][np.ix_(mine, mine)]
     return Location(
         component=form.component,
         form=name,

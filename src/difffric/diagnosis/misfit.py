@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from difffric.diagnosis.data import DiagnosisData
 from difffric.estimation.block_means import UnevenBlocks
 from difffric.estimation.ensemble import Fits
-from difffric.measurements.reduction.reduce import Reduced
+from difffric.measurements.reduction.reduce import Reduced, Reduction
 
 PHASES = ("stuck", "closing", "rebounding", "free", "at rest")
+_STUCK, _CLOSING, _REBOUNDING, _FREE, _AT_REST = range(len(PHASES))
 FORCE, POSITION, DISTANCE, FRICTION = "force", "position", "distance", "mu_s"
 """Channels; of a table, each push's mu_s in units of its scatter is one."""
 _BINS = 8
@@ -35,13 +36,17 @@ class Misfit:
 
     channel: str
     by: str
+    """the quantity, as a person reads it"""
     unit: str
+    """of the quantity; empty where it has none"""
     at: tuple[str, ...] | tuple[float, ...]
     """names, or the middles of bins"""
     numbers: NDArray
     """how many there are in each"""
     before: NDArray
+    """what the plain model leaves"""
     after: NDArray
+    """what the model with its causes leaves"""
 
     def as_dict(self) -> dict[str, Any]:
         """As `result.json` holds it."""
@@ -58,19 +63,39 @@ class Misfit:
 
 @dataclass(frozen=True)
 class _ChannelResiduals:
-    """All squared residuals of one channel, one after the other."""
+    """All squared residuals (N,) of one channel, those of one push after those of another."""
 
     name: str
     before: NDArray
+    """without the causes"""
     after: NDArray
-    """squared residuals"""
+    """with them"""
     push: NDArray
-    phase: Any = None
+    """number of each one's push"""
+    phase: NDArray | None = None
     """numbers of `PHASES`; None: a table says nothing of phases"""
-    x: Any = None
-    """from the start [m]"""
-    since: Any = None
+    x: NDArray | None = None
+    """how far the part is from its start [m]"""
+    since: NDArray | None = None
     """time since contact [s]"""
+
+
+class _Course(NamedTuple):
+    """A push as it was measured, at the times of the blocks of both channels."""
+
+    t: NDArray
+    """[s]"""
+    phase: NDArray
+    """numbers of `PHASES`"""
+    x: NDArray
+    """how far the part is from its start [m]; NaN where no position was recorded"""
+    onsets: NDArray
+    """times [s] at which the tip came into contact"""
+
+    def time_since_contact(self, t: NDArray) -> NDArray:
+        """Return the times [s] that have passed at `t` since the last contact before."""
+        last = np.clip(np.searchsorted(self.onsets, t, side="right") - 1, 0, None)
+        return t - self.onsets[last]
 
 
 def measure_misfits(data: DiagnosisData, plain: Fits, extended: Fits) -> tuple[Misfit, ...]:
@@ -117,37 +142,57 @@ def describe_misfits(found: Sequence[Misfit]) -> str | None:
 
 
 def _collect_residuals(data: DiagnosisData, plain: Fits, extended: Fits) -> list[_ChannelResiduals]:
-    task = data.task
-    squares = [
-        (fits.residual[0] / fits.spread[0][None, :, None]) ** 2 for fits in (plain, extended)
-    ]
+    """Collect the squared residuals, in units of the noise, of each channel that was measured."""
     if data.reduction is None:
-        out = []
-        for k, name in enumerate((FORCE, DISTANCE)):
-            mine = np.flatnonzero(task.counts[:, k])
-            # A mu_s of each push takes up its distance: what it takes stands below.
-            if len(mine) and (name == FORCE or not task.mu_free):
-                out.append(
-                    _ChannelResiduals(name, squares[0][mine, k, 0], squares[1][mine, k, 0], mine)
-                )
-        if task.mu_free:
-            before, after = ((fits.own[0] / fits.scatter[0]) ** 2 for fits in (plain, extended))
-            out.append(_ChannelResiduals(FRICTION, before, after, np.arange(task.n)))
-        return out
-    out = []
-    course = [_follow_course(data, i, reduced) for i, reduced in enumerate(data.reduction.details)]
+        return _collect_from_table(data, plain, extended)
+    return _collect_from_recordings(data, data.reduction, plain, extended)
+
+
+def _square_residuals(fits: Fits) -> NDArray:
+    """Return the (n, 2, blocks) squared residuals of an ensemble of one."""
+    return (fits.residual[0] / fits.spread[0][None, :, None]) ** 2
+
+
+def _collect_from_table(
+    data: DiagnosisData, plain: Fits, extended: Fits
+) -> list[_ChannelResiduals]:
+    """Collect the squared residuals of each push's F_p and d, or of its own mu_s."""
+    task, out = data.task, []
+    before, after = _square_residuals(plain), _square_residuals(extended)
+    for k, name in enumerate((FORCE, DISTANCE)):
+        mine = np.flatnonzero(task.counts[:, k])
+        # A mu_s of each push takes up its distance: what it takes stands below.
+        if len(mine) and (name == FORCE or not task.mu_free):
+            out.append(_ChannelResiduals(name, before[mine, k, 0], after[mine, k, 0], mine))
+    if task.mu_free:
+        before, after = ((fits.own[0] / fits.scatter[0]) ** 2 for fits in (plain, extended))
+        out.append(_ChannelResiduals(FRICTION, before, after, np.arange(task.n)))
+    return out
+
+
+def _collect_from_recordings(
+    data: DiagnosisData, reduction: Reduction, plain: Fits, extended: Fits
+) -> list[_ChannelResiduals]:
+    """Collect the squared residuals of each block of the samples, and where in its push it is."""
+    squares, out = (_square_residuals(plain), _square_residuals(extended)), []
+    courses = [_follow_course(data, i, reduced) for i, reduced in enumerate(reduction.details)]
     for k, name in enumerate((FORCE, POSITION)):
-        blocks = task.model.pushes.data[k]
+        blocks = data.task.model.pushes.data[k]
         parts = []
-        for i, (t, phase, x, since) in enumerate(course):
+        for i, course in enumerate(courses):
             there = blocks.a[i] > 0
             if there.any():
-                at = _find_middles(blocks, i)[there]
-                nearest = np.clip(np.searchsorted(t, at), 0, len(t) - 1)
+                t = _find_middles(blocks, i)[there]
+                nearest = np.clip(np.searchsorted(course.t, t), 0, len(course.t) - 1)
                 parts.append(
-                    (*(s[i, k][there] for s in squares), np.full(there.sum(), i),
-                     phase[nearest], np.interp(at, t, x), at - since(at))
-                )  # fmt: skip
+                    (
+                        *(s[i, k][there] for s in squares),
+                        np.full(there.sum(), i),
+                        course.phase[nearest],
+                        np.interp(t, course.t, course.x),
+                        course.time_since_contact(t),
+                    )
+                )
         if parts:
             columns = (np.concatenate(column) for column in zip(*parts, strict=True))
             out.append(_ChannelResiduals(name, *columns))
@@ -159,10 +204,8 @@ def _find_middles(blocks: UnevenBlocks, i: int) -> NDArray:
     return 0.5 * (blocks.t[i][blocks.first[i]] + blocks.t[i][blocks.second[i]])
 
 
-def _follow_course(data: DiagnosisData, i: int, reduced: Reduced):
-    """Follow push i from what was measured: the times of its blocks [s], the number of its phase
-    there, how far the part is from its start [m], and a function from times to the last contact
-    before them."""
+def _follow_course(data: DiagnosisData, i: int, reduced: Reduced) -> _Course:
+    """Follow push i from what was measured of its force and position."""
     force, position = data.task.model.pushes.data
     v = float(np.asarray(data.measured.velocity)[i])
     there = [blocks.a[i] > 0 for blocks in (force, position)]
@@ -181,29 +224,26 @@ def _follow_course(data: DiagnosisData, i: int, reduced: Reduced):
     if there[0].any():
         f = np.interp(t, _find_middles(force, i)[there[0]], force.y[i][there[0]])
         touching &= f > _NO_FORCE * np.max(f)
-    phase = np.where(np.nan_to_num(u) > v, 2, 1)
-    phase[np.isfinite(u) & (u < _STILL * v)] = 0
-    phase[~touching] = 3
+    phase = np.where(np.nan_to_num(u) > v, _REBOUNDING, _CLOSING)
+    phase[np.isfinite(u) & (u < _STILL * v)] = _STUCK
+    phase[~touching] = _FREE
     rest = reduced.rest_time if np.isfinite(reduced.rest_time) else np.inf
-    phase[(t >= rest) | (t < 0)] = 4
-    onsets = np.array([*reduced.onsets] or [0.0])
-
-    def last(at):
-        return onsets[np.clip(np.searchsorted(onsets, at, side="right") - 1, 0, None)]
-
-    return t, phase, x, last
+    phase[(t >= rest) | (t < 0)] = _AT_REST
+    return _Course(t, phase, x, np.array([*reduced.onsets] or [0.0]))
 
 
 def _group_by_name(
     one: _ChannelResiduals, by: str, number: NDArray, names: Sequence[str]
 ) -> Misfit:
+    """Average the residuals of a channel for each of `names` that occurs; `number` (N,) says which
+    one each residual belongs to."""
     there = [k for k in range(len(names)) if (number == k).any()]
-    return _average_groups(
-        one, by, "", tuple(names[k] for k in there), [number == k for k in there]
-    )
+    masks = [number == k for k in there]
+    return _average_groups(one, by, "", tuple(names[k] for k in there), masks)
 
 
 def _group_by_value(one: _ChannelResiduals, by: str, unit: str, value: NDArray) -> Misfit:
+    """Average the residuals of a channel over ranges of a quantity, whose `value` (N,) each has."""
     distinct = np.unique(value[np.isfinite(value)])
     if len(distinct) <= _BINS:
         edges = np.append(distinct, np.inf)
@@ -212,12 +252,19 @@ def _group_by_value(one: _ChannelResiduals, by: str, unit: str, value: NDArray) 
         edges[-1] = np.inf
     masks = [(value >= low) & (value < high) for low, high in pairwise(edges)]
     masks = [mask for mask in masks if mask.any()]
-    return _average_groups(one, by, unit, tuple(float(np.median(value[m])) for m in masks), masks)
+    middles = tuple(float(np.median(value[mask])) for mask in masks)
+    return _average_groups(one, by, unit, middles, masks)
 
 
-def _average_groups(one: _ChannelResiduals, by: str, unit: str, at, masks) -> Misfit:
+def _average_groups(
+    one: _ChannelResiduals,
+    by: str,
+    unit: str,
+    at: tuple[str, ...] | tuple[float, ...],
+    masks: Sequence[NDArray],
+) -> Misfit:
+    """Average the residuals of a channel within each of the masks (N,)."""
     numbers = np.array([mask.sum() for mask in masks])
-    before, after = (
-        np.array([x[mask].mean() for mask in masks]) for x in (one.before, one.after)
-    )  # fmt: skip
+    before = np.array([one.before[mask].mean() for mask in masks])
+    after = np.array([one.after[mask].mean() for mask in masks])
     return Misfit(one.name, by, unit, at, numbers, before, after)

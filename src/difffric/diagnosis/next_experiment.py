@@ -15,15 +15,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.diagnosis.data import DiagnosisData
-from difffric.estimation import ensemble as en
+from difffric.estimation import ensemble
 from difffric.estimation.block_means import UnevenBlocks, make_uneven, pad_uneven
-from difffric.estimation.ensemble import Fits, Task
-from difffric.estimation.extended_model import Pushes
+from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.extended_model import StackedPushes
 from difffric.measurements.recordings import Channel
 from difffric.units import to_mm, to_mm_min
 
 _SPEEDS = (0.6, 1.0, 2.0, 4.0, 10.0)
 """Times the slowest, up to the fastest."""
+_HEAVIER = 1.5
+"""Times the data's median mass, of a part with a load on it."""
+_LONG_REST = 1000.0
+"""Rest [s] before a push: three decades beyond the second from which friction at rest grows."""
+_LEAST_DRAG = 4.9
+"""Deceleration [m/s^2] of a sliding part over mu_s: half of gravity, so that no slide is cut."""
+_AFTER = 5e-3
+"""How long a part is looked at beyond its slide [s]."""
 _LONGEST = 2.5e-3
 """Of a block [s]: how fine a push is looked at that nobody has made yet."""
 
@@ -37,6 +45,7 @@ class Experiment:
     velocity_m_per_s: float
     mass_kg: float
     stroke_m: float | None
+    """None: the pusher goes on without a stop"""
     rest_before_s: float
     separation: float
     """expected, in standard deviations"""
@@ -66,7 +75,7 @@ class Pair(NamedTuple):
     """an ensemble of one, with its answers to the data"""
 
 
-def propose_pushes(data: DiagnosisData) -> tuple[Pushes, NDArray]:
+def propose_pushes(data: DiagnosisData) -> tuple[StackedPushes, NDArray]:
     """Propose pushes: other speeds, a longer stroke, a heavier part, a long rest.
 
     They are repeated to be as many as the data, so that the same program follows them; the numbers
@@ -80,11 +89,11 @@ def propose_pushes(data: DiagnosisData) -> tuple[Pushes, NDArray]:
     long = stroke * 2 if np.isfinite(stroke) else stroke
     ends = (speeds[0], speeds[-1])
     rows = [(x, mass, stroke, 0.0) for x in speeds]
-    rows += [(x, 1.5 * mass, stroke, 0.0) for x in ends]
-    rows += [(x, mass, stroke, 1000.0) for x in ends]
+    rows += [(x, _HEAVIER * mass, stroke, 0.0) for x in ends]
+    rows += [(x, mass, stroke, _LONG_REST) for x in ends]
     rows += [(x, mass, long, 0.0) for x in ends] if np.isfinite(stroke) else []
     columns = np.array(rows)[np.arange(n) % len(rows)].T
-    whole = Pushes(columns[0], columns[1], columns[2], np.ones(n), columns[3], None)
+    whole = StackedPushes(columns[0], columns[1], columns[2], np.ones(n), columns[3], None)
     return whole, np.arange(min(n, len(rows)))
 
 
@@ -103,14 +112,18 @@ def plan_experiments(data: DiagnosisData, pairs: Sequence[Pair]) -> tuple[Experi
             stroke = float(new.stroke[i])
             out.append(
                 Experiment(
-                    names, float(new.velocity[i]), float(new.mass[i]),
-                    stroke if np.isfinite(stroke) else None, float(new.rest[i]), float(apart[i]),
+                    separates=names,
+                    velocity_m_per_s=float(new.velocity[i]),
+                    mass_kg=float(new.mass[i]),
+                    stroke_m=stroke if np.isfinite(stroke) else None,
+                    rest_before_s=float(new.rest[i]),
+                    separation=float(apart[i]),
                 )
-            )  # fmt: skip
+            )
     return tuple(out)
 
 
-def _make_blank_data(data: DiagnosisData, new: Pushes) -> Any:
+def _make_blank_data(data: DiagnosisData, new: StackedPushes) -> Any:
     """Return data of pushes that nobody has made: all numbers, or samples, are zero."""
     old = data.task.model.pushes.data
     n = data.task.n
@@ -122,8 +135,7 @@ def _make_blank_data(data: DiagnosisData, new: Pushes) -> Any:
     parts = [], []
     for v, stroke in zip(new.velocity, new.stroke, strict=True):
         stop = stroke / v if np.isfinite(stroke) else 10 * data.scales.travel / v
-        decay = data.scales.mu_s * 0.5 * 9.8
-        end = stop + 2 * v / decay + 5e-3
+        end = stop + 2 * v / (data.scales.mu_s * _LEAST_DRAG) + _AFTER
         for part, channel, noise, beside in (
             (parts[0], recordings[0].force, details[0].noise_force, (0.0, stop)),
             (parts[1], recordings[0].position, details[0].noise_position, ()),
@@ -136,15 +148,17 @@ def _make_blank_data(data: DiagnosisData, new: Pushes) -> Any:
     return tuple(pad_uneven(p, *size) for p, size in zip(parts, sizes, strict=True))
 
 
-def _follow(task: Task, pushes: Pushes, fits: Fits, some: NDArray) -> tuple[Task, Fits]:
+def _follow(
+    task: EnsembleTask, pushes: StackedPushes, fits: Fits, some: NDArray
+) -> tuple[EnsembleTask, Fits]:
     """Return the task with these pushes, and the fits' answers to them, each at the mean mu_s."""
     there = replace(task, model=replace(task.model, pushes=pushes))
     mean = fits.mu.mean(axis=1, keepdims=True)
     at = replace(fits, mu=mean, own=np.zeros_like(fits.own), gram=None, residual=None)
-    return there, en.evaluated(there, at, some)
+    return there, ensemble.evaluate(there, at, some)
 
 
-def _read(task: Task, blank: Pushes, truth: Fits, some: NDArray) -> Any:
+def _read(task: EnsembleTask, blank: StackedPushes, truth: Fits, some: NDArray) -> Any:
     """Return what the model `truth` reads of the pushes, as data in the place of `blank`'s."""
     _, at = _follow(task, blank, truth, some)
     r = at.residual[0]
@@ -167,27 +181,38 @@ def _undo_whitening(blocks: UnevenBlocks, white: NDArray) -> NDArray:
     return out
 
 
-def _separate(given: Task, task: Task, seen: Pushes, other: Fits, some: NDArray) -> NDArray:
+def _separate(
+    given: EnsembleTask, task: EnsembleTask, seen: StackedPushes, other: Fits, some: NDArray
+) -> NDArray:
     """Return how far the other model stays from what was seen of each push (n,), in standard
     deviations, once it has been fitted to the push and to the data `given`."""
-    known = en.normal(given, other)
+    known = ensemble.normal_equations(given, other)
     there, at = _follow(task, seen, other, some)
-    G = np.einsum("nkij,k->nij", at.gram[0], 1.0 / other.spread[0] ** 2)
-    C, D = given.conditions, G.shape[1] - 1
+    gram = np.einsum("nkij,k->nij", at.gram[0], 1.0 / other.spread[0] ** 2)
     out = np.full(there.n, np.nan)
     for i in some:
-        if G[i, -1, -1] >= en.REJECTED:
-            continue
-        # The push's own mu_s, then the conditions' (of which it has the mean), then the shared.
-        S = np.zeros((D, 1 + C + D - 1))
-        S[0, 0], S[0, 1 : 1 + C] = 1.0, 1.0 / C
-        S[1:, 1 + C :] = np.eye(D - 1)
-        H, g = S.T @ G[i, :D, :D] @ S, S.T @ G[i, :D, -1]
-        H[0, 0] += 1.0 / other.scatter[0] ** 2
-        size = known.H.shape[1]
-        H[1 : 1 + size, 1 : 1 + size] += known.H[0][: len(H) - 1, : len(H) - 1]
-        scale = np.sqrt(np.maximum(np.diag(H), 1e-12))
-        solve = np.linalg.pinv(H / np.outer(scale, scale), rcond=1e-12)
-        left = G[i, -1, -1] - (g / scale) @ solve @ (g / scale)
-        out[i] = np.sqrt(max(left, 0.0))
+        if gram[i, -1, -1] < ensemble.REJECTED:
+            left = _fit_to_one_more(gram[i], known.H[0], given.conditions, other.scatter[0])
+            out[i] = np.sqrt(max(left, 0.0))
     return out
+
+
+def _fit_to_one_more(G: NDArray, known: NDArray, conditions: int, scatter: float) -> float:
+    """Return what is left of the squares of a push once the model has been fitted, in one step, to
+    it and to the data.
+
+    `G` (D + 1, D + 1) is the push's Gram matrix, its residual last; `known` (P, P) is the data's
+    information on the conditions' mu_s and the shared parameters.
+    """
+    D = len(G) - 1
+    # The push's own mu_s, then the conditions' (of which it has the mean), then the shared.
+    S = np.zeros((D, 1 + conditions + D - 1))
+    S[0, 0], S[0, 1 : 1 + conditions] = 1.0, 1.0 / conditions
+    S[1:, 1 + conditions :] = np.eye(D - 1)
+    H, g = S.T @ G[:D, :D] @ S, S.T @ G[:D, -1]
+    H[0, 0] += 1.0 / scatter**2
+    size = len(known)
+    H[1 : 1 + size, 1 : 1 + size] += known[: len(H) - 1, : len(H) - 1]
+    scale = np.sqrt(np.maximum(np.diag(H), 1e-12))
+    solve = np.linalg.pinv(H / np.outer(scale, scale), rcond=1e-12)
+    return float(G[-1, -1] - (g / scale) @ solve @ (g / scale))

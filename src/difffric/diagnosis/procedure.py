@@ -26,8 +26,7 @@ from difffric.diagnosis.start import Start, find_better_base, fit_plain_model, p
 from difffric.diagnosis.starting_values import SMOOTH_AT_NULL
 from difffric.diagnosis.verdict import Diagnosis
 from difffric.errors import InputError, NumericalError
-from difffric.estimation import ensemble as en
-from difffric.estimation import ensemble_refits
+from difffric.estimation import ensemble, ensemble_refits
 from difffric.estimation.ensemble import Fits
 from difffric.estimation.extended_model import PRESLIDING
 from difffric.measurements.pushes import Pushes
@@ -123,7 +122,7 @@ class _CauseSearch:
         """
         task = start.data.task
         plain = fit_plain_model(task, start.at, start.guess)
-        if (en.penalised(task, plain) >= en.REJECTED).any():
+        if (ensemble.sum_squares(task, plain) >= ensemble.REJECTED).any():
             raise NumericalError(
                 "diagnose: the fitted plain model could not be followed through every push"
             )
@@ -251,7 +250,7 @@ class _CauseSearch:
     def _add(self, cause: NamedCause) -> bool:
         """Add a cause to the model, drop those that it makes needless, and tell whether that
         gains on held-out pushes; where it does not, nothing is added."""
-        new = ensemble_refits.refitted(self.start.data.task, cause.best.fits, _ROUNDS)
+        new = ensemble_refits.refit(self.start.data.task, cause.best.fits, _ROUNDS)
         named, new = self._drop_needless([*self.named, cause], new)
         if not self.validation.is_better(new, self.base):
             return False
@@ -268,8 +267,8 @@ class _CauseSearch:
             c[0, gone] = self.plain.c[0, gone]
             extra = tuple(i for i in base.extra[0] if i not in gone)
             less = replace(base, c=c, extra=(extra,), gram=None, damping=None)
-            less = ensemble_refits.refitted(task, less, _ROUNDS_WITHOUT)
-            drop = float(en.criterion(task, less)[0] - en.criterion(task, base)[0])
+            less = ensemble_refits.refit(task, less, _ROUNDS_WITHOUT)
+            drop = float(ensemble.criterion(task, less)[0] - ensemble.criterion(task, base)[0])
             if compute_p_value(effect, drop, len(self.start.data.looked_for)) > SIGNIFICANT:
                 return self._drop_needless(named[:k] + named[k + 1 :], less)
         return named, base

@@ -15,8 +15,8 @@ import scipy
 from numpy.typing import NDArray
 
 from difffric.diagnosis.starting_values import SMOOTH_AT_NULL
-from difffric.estimation import ensemble as en
-from difffric.estimation.ensemble import Fits, Task
+from difffric.estimation import ensemble
+from difffric.estimation.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import KEYS, numbers_of
 
 _TRIALS = 10
@@ -41,7 +41,7 @@ class Score:
     """the coordinate at which the drop is predicted; its standard error is 1 / `visible`"""
 
 
-def run_score_tests(task: Task, base: Fits, effects: Sequence[str]) -> dict[str, Score]:
+def run_score_tests(task: EnsembleTask, base: Fits, effects: Sequence[str]) -> dict[str, Score]:
     """Test each effect that has a derivative at its null on top of `base` (an ensemble of one)."""
     found: dict[str, Score] = {}
     testable = [effect for effect in effects if effect in SMOOTH_AT_NULL]
@@ -50,7 +50,7 @@ def run_score_tests(task: Task, base: Fits, effects: Sequence[str]) -> dict[str,
     return found
 
 
-def _split_into_groups(task: Task, base: Fits, effects: Sequence[str]) -> list[list[str]]:
+def _split_into_groups(task: EnsembleTask, base: Fits, effects: Sequence[str]) -> list[list[str]]:
     """Split effects into groups whose numbers the compiled program has directions for."""
     room = task.model.directions - 1 - len(task.shared) - len(base.extra[0])
     room = max(room, _LEAST_ROOM)
@@ -63,13 +63,13 @@ def _split_into_groups(task: Task, base: Fits, effects: Sequence[str]) -> list[l
     return groups
 
 
-def _test_group(task: Task, base: Fits, effects: Sequence[str]) -> dict[str, Score]:
+def _test_group(task: EnsembleTask, base: Fits, effects: Sequence[str]) -> dict[str, Score]:
     """Test effects that share one evaluation of the answers and their derivatives."""
     coordinates = task.model.coordinates
     index = [coordinates.indices(numbers_of(effect)) for effect in effects]
     extra = (*base.extra[0], *(i for one in index for i in one))
-    at = en.evaluated(task, step_off_null(task, replace(base, extra=(extra,))))
-    equations = en.normal(task, at)
+    at = ensemble.evaluate(task, step_off_null(task, replace(base, extra=(extra,))))
+    equations = ensemble.normal_equations(task, at)
     H, g = equations.H[0], equations.g[0]
     first = known = task.conditions + len(task.shared) + len(base.extra[0])
     found: dict[str, Score] = {}
@@ -103,7 +103,7 @@ def _project_out(H: NDArray, g: NDArray, known: NDArray, mine: NDArray) -> tuple
     return S, r
 
 
-def step_off_null(task: Task, fits: Fits) -> Fits:
+def step_off_null(task: EnsembleTask, fits: Fits) -> Fits:
     """Move free coordinates that have no derivative at their null to where they have one.
 
     All `fits` have the same numbers free.

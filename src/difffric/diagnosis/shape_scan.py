@@ -14,9 +14,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.estimation import ensemble as en
-from difffric.estimation import ensemble_refits
-from difffric.estimation.ensemble import Fits, Task
+from difffric.estimation import ensemble, ensemble_refits
+from difffric.estimation.ensemble import EnsembleTask, Fits
 from difffric.rig.scales import Scales
 
 SHAPED = {
@@ -49,7 +48,7 @@ _PLACES = 14
 
 
 def scan_shapes(
-    task: Task, base: Fits, effect: str, scales: Scales, some: NDArray, far: bool
+    task: EnsembleTask, base: Fits, effect: str, scales: Scales, some: NDArray, far: bool
 ) -> Fits:
     """Return starts of a search for one effect on top of `base` (an ensemble of one): the shapes
     that would explain most.
@@ -85,7 +84,7 @@ def scan_shapes(
     return starts.pick(_find_peaks(drop)[:_STARTS])
 
 
-def is_within_travel(task: Task, c: NDArray, effect: str, scales: Scales) -> bool:
+def is_within_travel(task: EnsembleTask, c: NDArray, effect: str, scales: Scales) -> bool:
     """Whether a wave at the coordinates c (K,) is short enough for the pushes to show a good part
     of it; a longer one stands for anything that bends. True of an effect that does not wave."""
     if effect not in SHAPED or SHAPED[effect][1] is None:
@@ -102,7 +101,12 @@ def _find_peaks(values: NDArray) -> NDArray:
 
 
 def _score_shapes(
-    task: Task, base: Fits, index: Sequence[int], shapes: NDArray, pushes: NDArray, far: bool
+    task: EnsembleTask,
+    base: Fits,
+    index: Sequence[int],
+    shapes: NDArray,
+    pushes: NDArray,
+    far: bool,
 ) -> tuple[NDArray, Fits]:
     """Run a score test for each of the shapes (m,), a wavelength or a place [m].
 
@@ -121,8 +125,8 @@ def _score_shapes(
     c[:, index] = at
     whole = base.pick(np.zeros(m, int))
     fits = replace(whole, extra=((*base.extra[0], *free),) * m, c=c, gram=None, residual=None)
-    fits = en.evaluated(task, replace(fits, damping=None), pushes)
-    found = en.normal(task, fits)
+    fits = ensemble.evaluate(task, replace(fits, damping=None), pushes)
+    found = ensemble.normal_equations(task, fits)
     known = found.H.shape[1] - len(free)
     drop = np.zeros(m)
     for j in range(m):
@@ -145,5 +149,5 @@ def _score_shapes(
         c[:, index] = at
         new = replace(fits, c=c, gram=None, residual=None)
     else:
-        new = ensemble_refits.moved(task, fits, 0.0)
+        new = ensemble_refits.take_step(task, fits, 0.0)
     return drop, replace(new, extra=((*base.extra[0], *index),) * m, residual=None)

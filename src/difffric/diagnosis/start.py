@@ -19,10 +19,9 @@ from difffric.diagnosis.data import DiagnosisData, join_plain_fit, prepare_data
 from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.extended_setup import strip_effects
 from difffric.diagnosis.lack_of_fit import is_misfit_large
-from difffric.estimation import ensemble as en
-from difffric.estimation import ensemble_refits
+from difffric.estimation import ensemble, ensemble_refits
 from difffric.estimation.effect_coordinates import PLAIN
-from difffric.estimation.ensemble import Fits, Task
+from difffric.estimation.ensemble import EnsembleTask, Fits
 from difffric.estimation.stacked_data import sensor_errors
 from difffric.measurements.checks import checked_data
 from difffric.measurements.pushes import Pushes
@@ -111,7 +110,7 @@ def prepare_start(
     return Start(data, fitted, tuple(known), at, _place_at_setup(data.task, at, plain))
 
 
-def _place_at_setup(task: Task, fits: Fits, plain: Rig) -> Fits:
+def _place_at_setup(task: EnsembleTask, fits: Fits, plain: Rig) -> Fits:
     """Return the fits (an ensemble of one) at the plain rig's own numbers; where mu_s is free, it
     is the rig's in every push."""
     coordinates, values = task.model.coordinates, parameters.values(plain)
@@ -136,44 +135,46 @@ def _collect_errors(rig: Rig, measured: Pushes) -> NDArray:
     return np.where(np.isnan(noise), default, noise)
 
 
-def fit_plain_model(task: Task, start: Fits, guess: Fits) -> Fits:
+def fit_plain_model(task: EnsembleTask, start: Fits, guess: Fits) -> Fits:
     """Return the best of the fits that begin from `start`; where that leaves a large misfit, also
     from there with equal mu_s, and from `guess`, the set-up's own numbers (all ensembles of
     one)."""
-    fits = ensemble_refits.refitted(task, start, _ROUNDS)
+    fits = ensemble_refits.refit(task, start, _ROUNDS)
     if not is_misfit_large(task, fits):
-        again = ensemble_refits.resettled(task, fits)
-        return fits if again is fits else ensemble_refits.refitted(task, again, _ROUNDS)
+        again = ensemble_refits.rescan_loose_pushes(task, fits)
+        return fits if again is fits else ensemble_refits.refit(task, again, _ROUNDS)
     level = replace(start, own=np.zeros_like(start.own))
-    every = [fits, *(ensemble_refits.refitted(task, x, _ROUNDS) for x in (level, guess))]
-    best = min(every, key=lambda x: float(en.criterion(task, x)[0]))
+    every = [fits, *(ensemble_refits.refit(task, x, _ROUNDS) for x in (level, guess))]
+    best = min(every, key=lambda x: float(ensemble.criterion(task, x)[0]))
     return _rescan_and_refit(task, best)
 
 
-def find_better_base(task: Task, base: Fits, found: Sequence[CandidateCause]) -> Fits | None:
+def find_better_base(
+    task: EnsembleTask, base: Fits, found: Sequence[CandidateCause]
+) -> Fits | None:
     """Return a better fit than `base` without any of the leading effects `found`, begun from where
     they led, or None.
 
     What such a fit explains too was the failure of `base`, and not the effect's merit.
     """
-    before = float(en.criterion(task, base)[0])
+    before = float(ensemble.criterion(task, base)[0])
     for candidate in found[:2]:
         index = task.model.coordinates.indices(numbers_of(candidate.effect))
         c = candidate.fits.c.copy()
         c[0, index] = base.c[0, index]
         bare = replace(candidate.fits, c=c, extra=base.extra, gram=None, damping=None)
-        bare = _rescan_and_refit(task, ensemble_refits.refitted(task, bare, _ROUNDS))
+        bare = _rescan_and_refit(task, ensemble_refits.refit(task, bare, _ROUNDS))
         worth = max(_BETTER, _SHARE * candidate.drop)
-        if float(en.criterion(task, bare)[0]) < before - worth:
+        if float(ensemble.criterion(task, bare)[0]) < before - worth:
             return bare
     return None
 
 
-def _rescan_and_refit(task: Task, fits: Fits) -> Fits:
+def _rescan_and_refit(task: EnsembleTask, fits: Fits) -> Fits:
     """Refit with each push's own mu_s looked for afresh, where that leads to a better fit."""
-    again = ensemble_refits.reowned(task, fits)
+    again = ensemble_refits.rescan_bad_pushes(task, fits)
     if again is fits:
         return fits
-    again = ensemble_refits.refitted(task, again, _ROUNDS)
-    better = float(en.criterion(task, again)[0]) < float(en.criterion(task, fits)[0])
+    again = ensemble_refits.refit(task, again, _ROUNDS)
+    better = float(ensemble.criterion(task, again)[0]) < float(ensemble.criterion(task, fits)[0])
     return again if better else fits

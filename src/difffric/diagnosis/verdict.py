@@ -17,8 +17,8 @@ from difffric.diagnosis.lack_of_fit import LackOfFit
 from difffric.diagnosis.location import Location
 from difffric.diagnosis.misfit import Misfit
 from difffric.diagnosis.next_experiment import Experiment
-from difffric.estimation import ensemble as en
-from difffric.estimation.ensemble import Fits, Task
+from difffric.estimation import ensemble
+from difffric.estimation.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import CATALOGUE, RATIO, component_of, numbers_of
 from difffric.rig.rig import Rig
 from difffric.rig.setup import Setup
@@ -203,7 +203,7 @@ class Diagnosis:
 
 
 def describe_cause(
-    task: Task,
+    task: EnsembleTask,
     plain: Fits,
     at: Fits,
     candidate: CandidateCause,
@@ -217,7 +217,7 @@ def describe_cause(
     `predicted` is the score test's drop of chi-square and `gain` the drop on held-out pushes.
     """
     effect, coordinates = candidate.effect, task.model.coordinates
-    C = en.covariance(task, at)[0][task.conditions :, task.conditions :]
+    C = ensemble.covariance(task, at)[0][task.conditions :, task.conditions :]
     names = numbers_of(effect)
     keys = ["ratio" if effect == RATIO else name.partition(".")[2] for name in names]
     errors = coordinates.errors(at.c[0], names, [*task.shared, *at.extra[0]], C)
@@ -241,7 +241,7 @@ def describe_cause(
     )
 
 
-def measure_changes(task: Task, plain: Fits, at: Fits, effect: str) -> tuple[float, float]:
+def measure_changes(task: EnsembleTask, plain: Fits, at: Fits, effect: str) -> tuple[float, float]:
     """Return the relative changes (rms over the pushes) of F_p and d that an effect makes, all
     else as it is in the fit `at` (an ensemble of one)."""
     index = task.model.coordinates.indices(numbers_of(effect))

@@ -1,0 +1,1 @@
+from .procedure import diagnose as diagnose
