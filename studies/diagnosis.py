@@ -165,12 +165,12 @@ def true_model(found, case: cases.Case) -> dict | None:
         plain, extra=(extra,), c=c, mu=mu, own=own[None] - mu[:, task.condition],
         gram=None, residual=None, damping=None,
     )  # fmt: skip
-    at = en.evaluated(task, at)
-    if (en.penalised(task, at) >= en.REJECTED).any():  # bristles too stiff to be followed
+    at = en.evaluate(task, at)
+    if (en.sum_squares(task, at) >= en.REJECTED).any():  # bristles too stiff to be followed
         return None
-    at = ensemble_refits.refitted(task, at, 30)
+    at = ensemble_refits.refit(task, at, 30)
     folds = assign_folds(np.asarray(task.model.pushes.velocity), False)
-    squares = ensemble_refits.held_out(task, replace(at, spread=base.spread), folds).squares
+    squares = ensemble_refits.predict_held_out(task, replace(at, spread=base.spread), folds).squares
     return {
         "heldout_nrmse": float(np.sqrt(squares.sum() / task.counts.sum())),
         "better_by": float(en.criterion(task, base)[0] - en.criterion(task, at)[0]),

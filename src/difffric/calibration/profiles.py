@@ -10,25 +10,16 @@ Source: W. Q. Meeker and L. A. Escobar, The American Statistician 49 (1995) 48-5
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from difffric.calibration.held_parameter import HeldParameter
 from difffric.calibration.result import LEVELS, Fit
-from difffric.errors import InputError, NumericalError
-from difffric.estimation.coordinates import NOTHING, has_vanished, linear_step, to_value
-from difffric.estimation.mixed_fit import (
-    ARRIVED,
-    Settled,
-    descend,
-    linearise_at,
-    rescan_push_friction,
-    take_end,
-)
-from difffric.estimation.stacked_data import RECORDINGS
+from difffric.errors import InputError
+from difffric.estimation.coordinates import linear_step
 from difffric.progress import Tell, silent
 
 FARTHEST = 7.0
@@ -39,9 +30,15 @@ _CLOSE = 3e-3
 _NARROW = 1e-6
 """A bracket this narrow [coordinate] holds a jump."""
 _MOST = 24
-"""Evaluations for one bound."""
-_RESCUES = 6
-"""How often a parameter's path looks for each push's mu_s elsewhere: that takes long."""
+"""Fits with the parameter held for one bound."""
+_FIRST_STEP = 0.1
+"""The first step out, for one standard deviation, where the standard error says nothing."""
+_BEYOND = 1.02
+"""A secant aims this much beyond the bound, so that the next point brackets it."""
+_MARGIN = 0.03
+"""A secant inside a bracket keeps this share of it away from either end."""
+_SAME = 1e-9
+"""Coordinates this close are one."""
 _BETTER = 0.05
 """A fall of chi-square by more than this says that the fit was not at its optimum."""
 
@@ -123,227 +120,115 @@ def profile(
     out = {}
     for i, label in enumerate(chosen):
         tell(f"profile of {label}", i / len(chosen))
-        out[label] = _Path(fit, label).profile(sorted(levels))
+        out[label] = _profile_one(fit, label, sorted(levels))
     tell("done", 1.0)
     return out
 
 
-class _Path:
-    """The constrained optima along one parameter, as far as they were asked for."""
-
-    def __init__(self, fit: Fit, label: str):
-        self.fit, self.label = fit, label
-        self.model, self.data, at = fit.state.model, fit.state.data, fit.state.at
-        self.j = fit.index(label)
-        self.trust = 1e3 if self.data.kind == RECORDINGS else 30.0
-        self.start = float(at.theta[self.j])
-        self.rescues = _RESCUES
-        layout = self.model.layout
-        self.lower, self.upper = float(layout.lower[self.j]), float(layout.upper[self.j])
-        # A damping that runs to zero is held there: chi-square does not depend on it any more.
-        self.gone = at.held & (at.theta <= NOTHING)
-        self.gone[self.j] = False
-        self.slopes = _slopes(fit, at, self.j)
-        self.found: dict[float, tuple[float, Settled]] = {}
-        base = self._descend(at, at.held)
-        if not np.isfinite(self._chi2(base)):
-            raise NumericalError("profile: the misfit is not finite at the fit itself")
-        self.base = self._chi2(base)
-        self.found[self.start] = (self.base, base)
-
-    def profile(self, levels: Sequence[float]) -> Profile:
-        intervals: dict[float, list[float | None]] = {level: [None, None] for level in levels}
-        reasons: list[str | None] = [None, None]
-        for side in (0, 1):
-            for level in levels:
-                t = float(scipy.stats.t.ppf(0.5 + level / 2, self.fit.freedom[self.j]))
-                x, why = self._bound(2 * side - 1, t)
-                if x is None:
-                    reasons[side] = why
-                    break
-                intervals[level][side] = self._value(x)
-        fall, note = self.base - self.found[self.here][0], None
-        if fall > _BETTER:
-            note = (
-                f"chi-square falls by {fall:.3g} along it, to {self._value(self.here):.6g}: the "
-                "fit is not at its optimum; the intervals are about the lowest point found"
-            )
-        points = sorted((self._value(x), self._rise(x)) for x in self.found)
-        return Profile(
-            label=self.label,
-            value=self.fit.value(self.label),
-            intervals={level: (low, high) for level, (low, high) in intervals.items()},
-            gaussian={level: self.fit.interval(self.label, level) for level in levels},
-            reasons=(reasons[0], reasons[1]),
-            curve=np.array(points),
-            note=note,
-        )
-
-    @property
-    def here(self) -> float:
-        """The lowest point known: the fit, unless it is not at its optimum."""
-        return min(self.found, key=lambda x: (self.found[x][0], x != self.start))
-
-    def _rise(self, x: float) -> float:
-        return self.found[x][0] - self.found[self.here][0]
-
-    def _value(self, x: float) -> float:
-        if has_vanished(self.label, x):
-            return 0.0
-        return float(to_value(self.fit.names[self.j], x))
-
-    def _bound(self, sign: int, t: float) -> tuple[float | None, str | None]:
-        """Where the root of the rise is t on one side, or why nowhere."""
-        error = float(np.sqrt(self.fit.covariance[self.j, self.j]))
-        step = t * (error if 0 < error < FARTHEST else 0.1)
-        far = max(FARTHEST, 6 * step) if linear_step(self.fit.names[self.j]) else FARTHEST
-        end = self.upper if sign > 0 else self.lower
-        last = self.start + sign * far
-        if sign * (end - last) <= 0:
-            last = end
-        width = np.inf
-        for _ in range(_MOST):
-            inner, outer = self._bracket(sign, t)
-            if outer is None:
-                if sign * (last - inner) <= 0:
-                    return None, self._why_open(inner, last == end)
-                x = self._outwards(sign, t, inner, step)
-                self._evaluate(last if sign * (last - x) <= 1e-9 else x)
-                step *= 2
-                continue
-            r_inner, r_outer = self._root(inner), self._root(outer)
-            if abs(r_outer - t) <= _CLOSE * t:
-                return outer, None
-            if t - r_inner <= _CLOSE * t:
-                return inner, None
-            if abs(outer - inner) < _NARROW:
+def _profile_one(fit: Fit, label: str, levels: Sequence[float]) -> Profile:
+    """The profile of one parameter, for ascending levels."""
+    held = HeldParameter(fit, label)
+    intervals: dict[float, list[float | None]] = {level: [None, None] for level in levels}
+    reasons: list[str | None] = [None, None]
+    for side in (0, 1):
+        for level in levels:
+            t = float(scipy.stats.t.ppf(0.5 + level / 2, fit.freedom[held.j]))
+            x, why = _find_bound(held, 2 * side - 1, t)
+            if x is None:
+                reasons[side] = why
                 break
-            share = (t - r_inner) / (r_outer - r_inner) if np.isfinite(r_outer) else 0.5
-            if abs(outer - inner) > 0.5 * width:
-                share = 0.5  # a kink: halve
-            width = abs(outer - inner)
-            self._evaluate(inner + min(max(share, 0.03), 0.97) * (outer - inner))
-        inner, outer = self._bracket(sign, t)
+            intervals[level][side] = held.value(x)
+    note = None
+    if held.fall > _BETTER:
+        note = (
+            f"chi-square falls by {held.fall:.3g} along it, to {held.value(held.lowest):.6g}: the "
+            "fit is not at its optimum; the intervals are about the lowest point found"
+        )
+    return Profile(
+        label=label,
+        value=fit.value(label),
+        intervals={level: (low, high) for level, (low, high) in intervals.items()},
+        gaussian={level: fit.interval(label, level) for level in levels},
+        reasons=(reasons[0], reasons[1]),
+        curve=np.array(sorted((held.value(x), held.rise(x)) for x in held.found)),
+        note=note,
+    )
+
+
+def _find_bound(held: HeldParameter, sign: int, t: float) -> tuple[float | None, str | None]:
+    """Where the root of the rise is t on one side (`sign` -1: below), or why nowhere.
+
+    REASON
+    """
+    step, last, at_bound = _plan_way(held, sign, t)
+    width = np.inf
+    for _ in range(_MOST):
+        inner, outer = _bracket(held, sign, t)
         if outer is None:
-            return None, self._why_open(inner, False)
-        if not np.isfinite(self._root(outer)):
-            return None, f"the model cannot be followed beyond {self._value(inner):.4g}"
-        return outer, None
-
-    def _outwards(self, sign: int, t: float, inner: float, step: float) -> float:
-        """The next point out, by the last secant of the root of the rise where there is one."""
-        known = [x for x in self.found if sign * (x - self.here) >= 0 and sign * (inner - x) >= 0]
-        known.sort(key=lambda x: sign * x)
-        if len(known) < 2:
-            return inner + sign * step
-        a, b = known[-2:]
-        slope = (self._root(b) - self._root(a)) / abs(b - a)
-        ahead = 1.02 * (t - self._root(b)) / slope if slope > 0 else step
-        return inner + sign * min(max(ahead, 0.1 * step), 2 * step)
-
-    def _bracket(self, sign: int, t: float) -> tuple[float, float | None]:
-        """The farthest point before the rise is reached, and the next one."""
-        inner = self.here
-        for x in sorted(
-            (x for x in self.found if sign * (x - self.here) > 0), key=lambda x: sign * x
-        ):
-            if self._root(x) >= t:
-                return inner, x
-            inner = x
-        return inner, None
-
-    def _root(self, x: float) -> float:
-        return float(np.sqrt(max(self._rise(x), 0.0)))
-
-    def _why_open(self, x: float, at_bound: bool) -> str:
-        rise = self._rise(x)
-        where = (
-            f"at its bound {self._value(x):.4g}" if at_bound else f"as far as {self._value(x):.3g}"
-        )
-        if x == self.here:
-            return f"the best fit is {where}"
-        return f"{where} chi-square has risen by {rise:.3g} only"
-
-    def _evaluate(self, x: float) -> None:
-        """Hold the parameter on x and fit everything else, from the nearest point known."""
-        near = min(self.found, key=lambda known: abs(known - x))
-        _, at = self.found[near]
-        theta = at.theta + np.where(at.held, 0.0, self.slopes[0]) * (x - near)
-        theta[self.j] = x
-        ahead = replace(at, theta=theta, s_eta=at.s_eta + self.slopes[1] * (x - near))
-        expected = self._expected(x)
-        best = self._inside(ahead)
-        more = not self._chi2(best) - self.base < 1.5 * expected + 0.5
-        if more and expected > 0 and self.rescues:
-            self.rescues -= 1
-            # More than expected: perhaps one push stays on the wrong side of a jump.
-            plain = at.theta.copy()
-            plain[self.j] = x
-            best = min(best, self._inside(replace(at, theta=plain)), key=self._key)
-            other = rescan_push_friction(self.model, self.data, best)
-            if other is not best:
-                best = min(best, self._inside(other), key=self._key)
-        self.found[x] = (self._key(best), best)
-
-    def _expected(self, x: float) -> float:
-        variance = self.fit.covariance[self.j, self.j]
-        return (x - self.start) ** 2 / variance if variance > 0 else 0.0
-
-    def _inside(self, at: Settled) -> Settled:
-        """The constrained optimum, the other parameters within their bounds."""
-        layout = self.model.layout
-        held = self.gone | at.held
-        held[self.j] = True
-        for _ in range(4):
-            beyond = ((at.theta < layout.lower) | (at.theta > layout.upper)) & ~held
-            held = held | beyond
-            theta = np.where(beyond, np.clip(at.theta, layout.lower, layout.upper), at.theta)
-            at = self._descend(replace(at, theta=theta), held)
-            if ((at.theta < layout.lower) | (at.theta > layout.upper))[~held].any():
-                continue
-            released = self._pulled_inside(at, held)
-            if not released.any():
-                break
-            held = held & ~released
-        return at
-
-    def _pulled_inside(self, at: Settled, held: NDArray) -> NDArray:
-        """Which parameters held at a bound chi-square would take back inside."""
-        layout = self.model.layout
-        rows = np.asarray(at.end.rows)[: self.data.n] * at.weights[..., None]
-        pull = -np.einsum("nmp,nm->p", rows[..., :-1] @ layout.selection, rows[..., -1])
-        inward = np.where(at.theta <= layout.lower, pull > ARRIVED, pull < -ARRIVED)
-        inward &= held & ~self.gone & (layout.lower < layout.upper)
-        inward[self.j] = False
-        return inward
-
-    def _descend(self, at: Settled, held: NDArray) -> Settled:
-        scatter = at.scatter
-        end: Any = descend(self.model, self.data, at, held, at.weights, scatter, self.trust)
-        return take_end(at, end, held, scatter)
-
-    def _key(self, at: Settled) -> float:
-        chi2 = self._chi2(at)
-        return chi2 if np.isfinite(chi2) else np.inf
-
-    def _chi2(self, at: Settled) -> float:
-        """The penalised sum of squares; what was known of held parameters counts too."""
-        layout = self.model.layout
-        held = np.where(at.held, 1.0 / layout.prior_sd, 0.0)
-        return float(at.end.chi2) + float(((held * (at.theta - layout.start)) ** 2).sum())
+            if sign * (last - inner) <= 0:
+                return None, _say_why_open(held, inner, at_bound)
+            x = _go_outwards(held, sign, t, inner, step)
+            held.hold(last if sign * (last - x) <= _SAME else x)
+            step *= 2
+            continue
+        r_inner, r_outer = held.root(inner), held.root(outer)
+        if abs(r_outer - t) <= _CLOSE * t:
+            return outer, None
+        if t - r_inner <= _CLOSE * t:
+            return inner, None
+        if abs(outer - inner) < _NARROW:
+            break
+        share = (t - r_inner) / (r_outer - r_inner) if np.isfinite(r_outer) else 0.5
+        if abs(outer - inner) > 0.5 * width:
+            share = 0.5  # a kink: halve
+        width = abs(outer - inner)
+        held.hold(inner + min(max(share, _MARGIN), 1 - _MARGIN) * (outer - inner))
+    inner, outer = _bracket(held, sign, t)
+    if outer is None:
+        return None, _say_why_open(held, inner, False)
+    if not np.isfinite(held.root(outer)):
+        return None, f"the model cannot be followed beyond {held.value(inner):.4g}"
+    return outer, None
 
 
-def _slopes(fit: Fit, at: Settled, j: int) -> tuple[NDArray, NDArray]:
-    """How the others go along with parameter j where the model is linear: d theta (free,) and
-    d s_eta (n,) for a unit of its coordinate."""
-    model, data = fit.state.model, fit.state.data
-    along = np.zeros(len(at.theta))
-    if fit.covariance[j, j] > 0:
-        along = fit.covariance[:, j] / fit.covariance[j, j]
-    along = np.where(np.abs(along) < FARTHEST, along, 0.0)
-    along[j] = 1.0
-    linear, P = linearise_at(model, data, at), len(at.theta)
-    G = linear.known + np.einsum("gnij,g->nij", linear.groups, 1.0 / at.spreads**2)
-    z = G[:, P + 1]
-    own = at.scatter**2 / (1.0 + at.scatter**2 * z[:, P + 1])
-    return along, -own * (z[:, :P] @ along)
+def _plan_way(held: HeldParameter, sign: int, t: float) -> tuple[float, float, bool]:
+    """The first step out, the last coordinate to look at, and whether that is a bound."""
+    error = float(np.sqrt(held.variance))
+    step = t * (error if 0 < error < FARTHEST else _FIRST_STEP)
+    far = max(FARTHEST, 6 * step) if linear_step(held.name) else FARTHEST
+    end = held.upper if sign > 0 else held.lower
+    last = held.start + sign * far
+    if sign * (end - last) <= 0:
+        last = end
+    return step, last, last == end
+
+
+def _go_outwards(held: HeldParameter, sign: int, t: float, inner: float, step: float) -> float:
+    """The next point out, by the last secant of the root of the rise where there is one."""
+    known = [x for x in held.found if sign * (x - held.lowest) >= 0 and sign * (inner - x) >= 0]
+    known.sort(key=lambda x: sign * x)
+    if len(known) < 2:
+        return inner + sign * step
+    a, b = known[-2:]
+    slope = (held.root(b) - held.root(a)) / abs(b - a)
+    ahead = _BEYOND * (t - held.root(b)) / slope if slope > 0 else step
+    return inner + sign * min(max(ahead, 0.1 * step), 2 * step)
+
+
+def _bracket(held: HeldParameter, sign: int, t: float) -> tuple[float, float | None]:
+    """The farthest point known before the rise is reached, and the next one, if there is one."""
+    inner = held.lowest
+    beyond = [x for x in held.found if sign * (x - inner) > 0]
+    for x in sorted(beyond, key=lambda x: sign * x):
+        if held.root(x) >= t:
+            return inner, x
+        inner = x
+    return inner, None
+
+
+def _say_why_open(held: HeldParameter, x: float, at_bound: bool) -> str:
+    value = held.value(x)
+    where = f"at its bound {value:.4g}" if at_bound else f"as far as {value:.3g}"
+    if x == held.lowest:
+        return f"the best fit is {where}"
+    return f"{where} chi-square has risen by {held.rise(x):.3g} only"

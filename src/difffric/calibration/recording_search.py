@@ -23,6 +23,7 @@ from difffric.estimation.mixed_fit import (
     first_point,
     rescan_push_friction,
     settle,
+    spread_push_friction,
 )
 from difffric.estimation.stacked_data import (
     FitData,
@@ -169,7 +170,7 @@ class RecordingSearch:
             rough = settle(model, as_if_white(data), at, trust=_TRUST, rounds=_LAST_ROUNDS)
             at = replace(first_point(model, data, rough.theta), s_eta=rough.s_eta)
         at = settle(model, data, at, trust=_TRUST)
-        rounds, elsewhere = ROUNDS, [self._branches, around]
+        rounds, elsewhere = ROUNDS, [self._branches, spread_push_friction]
         while rounds > _LAST_ROUNDS:
             jumps = np.asarray(at.end.jumps)[: data.n]
             model, data = self._samples(jumps, stiffest)

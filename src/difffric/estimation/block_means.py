@@ -28,28 +28,30 @@ from difffric.measurements.noise import Noise, whitening
 from difffric.measurements.recordings import Channel, Recording, Recordings
 from difffric.measurements.reduction.reduce import Reduced
 
-MOST = 2048
-"""Block means a channel aimed at: more samples would cost time and say little more."""
-SLOW = 0.2
-"""Radians of the fastest oscillation that a block may last: its mean is then exact to 1e-6 of
-the block's curvature, once the second difference is taken care of."""
+MOST_BLOCKS = 2048
+"""Even blocks that a channel is aimed at: more would cost time and say little more."""
+_SLOW = 0.2
+"""Radians of the fastest oscillation that an even block may last: its mean is then exact to 1e-6
+of the block's curvature, once the second difference is taken care of."""
 BEFORE, AFTER = 0.02, 0.03
 """Quiet time and rest that are kept [s]: they hold the position's zero, and the end."""
 
-GROWTH = 0.15
-"""Of a block's distance to the nearest event: its length at most."""
+_GROWTH = 0.15
+"""The longest that an uneven block may be, over its distance to the nearest event."""
 LONGEST = 1e-3
-"""Of a block while the part moves [s]; at rest five times as long."""
-FASTEST = 0.4
-"""Radians of the contact's own oscillation that a block lasts at most: two points then give the
-model's mean over it to 1e-5 of its swing."""
-ROOM = 512
-"""Blocks are padded to this, or to twice, four times as many: few shapes, few compilations."""
+"""The longest uneven block [s] while the part moves; at rest it is five times as long."""
+_FASTEST = 0.4
+"""Radians of the contact's own oscillation that an uneven block lasts at most: two points then
+give the model's mean over it to 1e-5 of its swing."""
+_ROOM = 512
+"""Uneven blocks are padded to this, or to twice, four times as many: few shapes, few
+compilations."""
 
 
 @dataclass(frozen=True)
 class EvenBlocks:
-    """n recordings as `TracePush` takes them, stacked, with what a fit asks about their noise."""
+    """n recordings in even blocks, stacked as `residuals.TracePush` takes them, with what a fit
+    asks about their noise."""
 
     pushes: TracePush
     levels: NDArray
@@ -61,14 +63,15 @@ class EvenBlocks:
 
 
 def choose_block_size(channel: Channel, fastest: float, duration: float) -> int:
-    """Samples that a block mean takes without losing anything that oscillates at up to
-    `fastest` [rad/s]."""
-    wanted = int(np.ceil(duration / channel.dt / MOST))
-    return max(1, min(wanted, int(SLOW / fastest / channel.dt)))
+    """How many samples an even block may hold without losing anything that oscillates at up to
+    `fastest` [rad/s], over `duration` [s] of a channel."""
+    wanted = int(np.ceil(duration / channel.dt / MOST_BLOCKS))
+    return max(1, min(wanted, int(_SLOW / fastest / channel.dt)))
 
 
 def average_blocks(channel: Channel, t_0: float, t_1: float, size: int) -> tuple[NDArray, NDArray]:
-    """(times, means) of whole blocks between two times [s], read a chunk at a time."""
+    """Times [s] and means of whole blocks of `size` samples between two times [s]. The channel is
+    read a piece at a time, so that a long recording needs no more memory than a short one."""
     lo = max(0, int(np.ceil((t_0 - channel.start) / channel.dt - 1e-9)))
     hi = min(channel.n, int(np.floor((t_1 - channel.start) / channel.dt + 1e-9)) + 1)
     n = max((hi - lo) // size, 0)
@@ -89,11 +92,11 @@ def stack_even(
     jumps: NDArray | None = None,
     guard: float = 0.0,
 ) -> EvenBlocks:
-    """All recordings on grids of one padded length.
+    """All recordings in even blocks, on grids of one padded length.
 
-    `fastest` [rad/s] bounds the contact's oscillation. Force samples within a sample (a block
-    and a half for block means) and `guard` [s] of a jump are left out: of t = 0, of the stroke's
-    end, and of `jumps` (n, any) [s], which a model knows better.
+    `strokes` (n,) [m]; `fastest` [rad/s] bounds the contact's oscillation. Force samples within a
+    sample (a block and a half for block means) and `guard` [s] of a jump are left out: of t = 0,
+    of the stroke's end, and of `jumps` (n, any) [s], which a model knows better.
     """
     ends = [_find_end(r, x) for r, x in zip(recordings, details, strict=True)]
     made = []
@@ -135,8 +138,11 @@ def stack_even(
     )
 
 
-def _make_grid(made, length: int) -> Grid:
-    """One channel's grid, padded; an absent channel is a grid of nothing."""
+def _make_grid(
+    made: tuple[NDArray, NDArray, NDArray, Noise, int, float] | None, length: int
+) -> Grid:
+    """One channel's grid, padded to `length`, from (times, means, which to keep, noise of a mean,
+    samples of a block, a block's length [s]); an absent channel is a grid of nothing."""
     zeros = np.zeros(length)
     if made is None:
         return Grid(zeros, zeros, zeros, zeros, np.zeros(length, int), np.zeros(()))
@@ -185,7 +191,7 @@ def make_uneven(
     end: float,
     longest: float,
 ) -> UnevenBlocks:
-    """One channel from shortly before the push to `end` [s].
+    """One channel in uneven blocks, from shortly before the push to `end` [s].
 
     `events` [s] are where blocks are short, `beside` [s] those beside which samples are left
     out; from `rest` [s] on nothing moves; `longest` [s] bounds a block until then.
@@ -217,8 +223,8 @@ def make_uneven(
     return UnevenBlocks(instants, first, second, means, a, b, np.asarray(float(len(t))))
 
 
-def _choose_starts(t, dt, events, rest, longest) -> NDArray:
-    """Indices at which blocks begin."""
+def _choose_starts(t: NDArray, dt: float, events: NDArray, rest: float, longest: float) -> NDArray:
+    """The indices of the samples at `t` [s] at which uneven blocks begin."""
     starts, i, n = [], 0, len(t)
     most, idle = max(1, int(longest / dt)), max(1, int(5 * LONGEST / dt))
     while i < n:
@@ -228,7 +234,7 @@ def _choose_starts(t, dt, events, rest, longest) -> NDArray:
         after = events[ahead] - t[i] if ahead < len(events) else np.inf
         still = t[i] > rest or (ahead == 0 and after > 5 * LONGEST)
         cap = idle if still else most
-        size = int(min(cap, GROWTH * before / dt, max(GROWTH * after / dt, 1.0)))
+        size = int(min(cap, _GROWTH * before / dt, max(_GROWTH * after / dt, 1.0)))
         size = max(1, size)
         # No block reaches over samples that were left out.
         stop = min(i + size, n)
@@ -237,9 +243,11 @@ def _choose_starts(t, dt, events, rest, longest) -> NDArray:
     return np.array(starts)
 
 
-def _whiten_neighbours(t, starts, sizes, dt, noise: Noise) -> tuple[NDArray, NDArray]:
-    """The map to independent residuals: AR(1) noise averaged over blocks is nearly AR(1) again,
-    with these variances and correlations of neighbours."""
+def _whiten_neighbours(
+    t: NDArray, starts: NDArray, sizes: NDArray, dt: float, noise: Noise
+) -> tuple[NDArray, NDArray]:
+    """The factors a, b of `UnevenBlocks` that make residuals independent: AR(1) noise averaged
+    over blocks is nearly AR(1) again, with these variances and correlations of neighbours."""
     phi = noise.correlation
     level = noise.level / np.sqrt([noise.effective(int(n)) for n in sizes])
     rho = np.zeros(len(starts))
@@ -261,11 +269,11 @@ def stack_uneven(
     strokes: NDArray,
     frequency: float,
 ) -> tuple[UnevenBlocks, UnevenBlocks]:
-    """Force and position of n pushes, padded and stacked.
+    """Force and position of n pushes in uneven blocks, padded and stacked.
 
     `strokes` (n,) [m]; `frequency` [rad/s] is the contact's own.
     """
-    longest = min(LONGEST, FASTEST / frequency)
+    longest = min(LONGEST, _FASTEST / frequency)
     rows = []
     for r, x, stroke in zip(recordings, details, strokes, strict=True):
         stop = stroke / r.velocity
@@ -281,7 +289,7 @@ def stack_uneven(
             )
         )
     both = [row[0] for row in rows], [row[1] for row in rows]
-    m = ROOM
+    m = _ROOM
     while m < max(len(p.y) for parts in both for p in parts):
         m *= 2
     first, second = (pad_uneven(parts, m, 2 * m) for parts in both)
@@ -289,9 +297,9 @@ def stack_uneven(
 
 
 def pad_uneven(parts: Sequence[UnevenBlocks], m: int, e: int) -> UnevenBlocks:
-    """Pushes' blocks padded to m, at e instants; what is beyond is cut off."""
+    """Pushes' blocks padded to m, at e instants, and stacked; what is beyond is cut off."""
 
-    def pad(x, size, last=False):
+    def pad(x: NDArray, size: int, last: bool = False) -> NDArray:
         x = x[:size]
         out = np.zeros(size, x.dtype)
         out[: len(x)] = x

@@ -27,7 +27,7 @@ _RIDGE = 1e-13
 
 
 @dataclass(frozen=True)
-class Task:
+class EnsembleTask:
     """A data set, the parameters that are free in every fit, and what is known of the noise."""
 
     model: ExtendedModel
@@ -103,7 +103,7 @@ class Fits:
         )  # fmt: skip
 
 
-def together(*parts: Fits) -> Fits:
+def join(*parts: Fits) -> Fits:
     """Several ensembles of the same pushes as one; their answers, if all have them."""
 
     def of(name) -> Any:
@@ -112,14 +112,14 @@ def together(*parts: Fits) -> Fits:
             return None
         if name == "gram":
             size = max(x.shape[-1] for x in columns)
-            columns = [widened(x, size) for x in columns]
+            columns = [widen(x, size) for x in columns]
         return np.concatenate(columns)
 
     names = ("c", "mu", "own", "scatter", "spread", "gram", "residual", "damping")
     return Fits(sum((p.extra for p in parts), ()), *(of(name) for name in names))
 
 
-def subset_of(task: Task, most: int = SUBSET) -> NDArray:
+def choose_subset(task: EnsembleTask, most: int = SUBSET) -> NDArray:
     """Pushes over all speeds and conditions for a scan."""
     v = np.asarray(task.model.pushes.velocity)
     if task.n <= most:
@@ -132,7 +132,7 @@ def subset_of(task: Task, most: int = SUBSET) -> NDArray:
     return np.array(sorted(chosen))
 
 
-def widened(gram, size):
+def widen(gram, size):
     """With empty columns before the residual's."""
     missing = size - gram.shape[-1]
     if not missing:
@@ -143,7 +143,7 @@ def widened(gram, size):
     return out
 
 
-def directions(task: Task, fits: Fits) -> NDArray:
+def directions(task: EnsembleTask, fits: Fits) -> NDArray:
     """(m, D, K): mu_s, the shared parameters, each fit's own; padded with nothing."""
     K, base = fits.c.shape[1], [0, *task.shared]
     D = len(base) + max((len(x) for x in fits.extra), default=0)
@@ -154,7 +154,7 @@ def directions(task: Task, fits: Fits) -> NDArray:
     return out
 
 
-def evaluated(task: Task, fits: Fits, pushes: NDArray | None = None) -> Fits:
+def evaluate(task: EnsembleTask, fits: Fits, pushes: NDArray | None = None) -> Fits:
     """The fits with their answers where they stand, of all pushes or of some (the others' stay,
     or are nothing)."""
     which = np.arange(task.n) if pushes is None else np.asarray(pushes)
@@ -172,18 +172,18 @@ def evaluated(task: Task, fits: Fits, pushes: NDArray | None = None) -> Fits:
     gram[..., -1, -1] += np.where(bad, REJECTED, 0.0)[:, :, None]
     residual = found.residual.reshape(*shape, *found.residual.shape[1:])
     if len(which) < task.n:
-        gram, residual = (_placed(x, which, task.n) for x in (gram, residual))
+        gram, residual = (_place(x, which, task.n) for x in (gram, residual))
     return replace(fits, gram=gram, residual=residual)
 
 
-def _placed(x, which, n):
+def _place(x, which, n):
     out = np.zeros((x.shape[0], n, *x.shape[2:]))
     out[:, which] = x
     return out
 
 
 @dataclass(frozen=True)
-class Normal:
+class NormalEquations:
     """The normal equations of m fits with each push's own mu_s eliminated."""
 
     H: NDArray
@@ -200,7 +200,7 @@ class Normal:
     """(m, n)"""
 
 
-def parts_of(task: Task, fits: Fits):
+def split_by_push(task: EnsembleTask, fits: Fits):
     """Blocks by push at own mu_s = 0: (H_i, h_i, z_i, g_i, gm_i, rr_i)."""
     G = np.einsum("mnkij,mk->mnij", fits.gram, 1.0 / fits.spread**2)
     n, size = G.shape[1:3]
@@ -219,14 +219,14 @@ def parts_of(task: Task, fits: Fits):
     return H, h, z, g, gm, rr
 
 
-def normal(task: Task, fits: Fits, scatter=None, parts=None) -> Normal:
+def normal_equations(task: EnsembleTask, fits: Fits, scatter=None, parts=None) -> NormalEquations:
     """The normal equations for a scatter (m,)."""
-    H, h, z, g, gm, rr = parts_of(task, fits) if parts is None else parts
+    H, h, z, g, gm, rr = split_by_push(task, fits) if parts is None else parts
     s = fits.scatter if scatter is None else scatter
     weight = 1.0 / (z + 1.0 / s[:, None] ** 2)
-    precision, at = _prior(task, fits, H.shape[-1])
+    precision, at = _make_prior(task, fits, H.shape[-1])
     assumed = precision[:, :, None] * np.eye(H.shape[-1])
-    return Normal(
+    return NormalEquations(
         H=(H - np.einsum("mnp,mnq,mn->mnpq", h, h, weight)).sum(axis=1) + assumed,
         g=(g - h * (gm * weight)[:, :, None]).sum(axis=1) + precision * at,
         cost=(rr - gm**2 * weight).sum(axis=1) + (precision * at**2).sum(axis=1),
@@ -236,7 +236,7 @@ def normal(task: Task, fits: Fits, scatter=None, parts=None) -> Normal:
     )
 
 
-def _prior(task: Task, fits: Fits, P: int) -> tuple[NDArray, NDArray]:
+def _make_prior(task: EnsembleTask, fits: Fits, P: int) -> tuple[NDArray, NDArray]:
     """(m, P) precision and values of what is assumed to be small."""
     precision, at = np.zeros((2, fits.m, P))
     if task.prior is not None:
@@ -246,7 +246,7 @@ def _prior(task: Task, fits: Fits, P: int) -> tuple[NDArray, NDArray]:
     return precision, at
 
 
-def _scaled(H: NDArray) -> tuple[NDArray, NDArray]:
+def _scale(H: NDArray) -> tuple[NDArray, NDArray]:
     """(m, P, P) with a unit diagonal, apart from any others where nothing depends on a parameter;
     and the (m, P) roots of the diagonal."""
     diagonal = np.einsum("mpp->mp", H)
@@ -259,7 +259,7 @@ def _scaled(H: NDArray) -> tuple[NDArray, NDArray]:
 
 def solve(H: NDArray, g: NDArray, damping=0.0) -> NDArray:
     """(m, P) steps; a parameter that nothing depends on stays."""
-    A, scale = _scaled(H)
+    A, scale = _scale(H)
     lam = np.broadcast_to(np.asarray(damping, float), (len(H),))
     A = A + lam[:, None, None] * np.eye(A.shape[1])
     there = np.einsum("mpp->mp", H) > _LEAST_DIAGONAL
@@ -267,23 +267,23 @@ def solve(H: NDArray, g: NDArray, damping=0.0) -> NDArray:
     return -np.linalg.solve(A, (g / scale)[:, :, None])[:, :, 0] / scale
 
 
-def criterion(task: Task, fits: Fits) -> NDArray:
+def criterion(task: EnsembleTask, fits: Fits) -> NDArray:
     """(m,) -2 times the log likelihood where the fits stand, their own mu_s averaged over: sum of
     squares, and what the scatter and the spreads that were estimated cost."""
-    found = normal(task, fits)
-    return settled_cost(task, fits, found) + _volume(task, fits, found.z)
+    found = normal_equations(task, fits)
+    return profile_cost(task, fits, found) + _compute_volume(task, fits, found.z)
 
 
-def settled_cost(task: Task, fits: Fits, found: Normal | None = None) -> NDArray:
+def profile_cost(task: EnsembleTask, fits: Fits, found: NormalEquations | None = None) -> NDArray:
     """(m,) the sum of squares, each push's own mu_s brought to what is best there: as far as a
     linear prediction is to be trusted, which is no more than a standard deviation."""
-    found = normal(task, fits) if found is None else found
+    found = normal_equations(task, fits) if found is None else found
     weight = found.z + 1.0 / fits.scatter[:, None] ** 2
     away = -found.gm / weight - fits.own
-    return penalised(task, fits) - np.minimum(away**2 * weight, 1.0).sum(axis=1)
+    return sum_squares(task, fits) - np.minimum(away**2 * weight, 1.0).sum(axis=1)
 
 
-def _volume(task: Task, fits: Fits, z) -> NDArray:
+def _compute_volume(task: EnsembleTask, fits: Fits, z) -> NDArray:
     spread = sum(
         2 * task.counts[:, k].sum() * np.log(fits.spread[:, k])
         for k in (0, 1)
@@ -292,12 +292,12 @@ def _volume(task: Task, fits: Fits, z) -> NDArray:
     return np.log1p(fits.scatter[:, None] ** 2 * z).sum(axis=1) + spread
 
 
-def rescattered(task: Task, fits: Fits) -> Fits:
+def estimate_scatters(task: EnsembleTask, fits: Fits) -> Fits:
     """The fits with the scatter that the restricted likelihood prefers, and the spreads that the
     residuals show, where these are to be estimated."""
     for k in (0, 1):
         if task.open_spread[k]:
-            rss = np.maximum(_rss(task, fits, k), 1e-300)
+            rss = np.maximum(_sum_residuals(task, fits, k), 1e-300)
             # Each parameter takes its share of the residuals.
             lost = (fits.gram.shape[-1] - 1) * task.counts[:, k].sum() / task.counts.sum()
             freedom = np.maximum(task.counts[:, k].sum() - lost, 1.0)
@@ -306,12 +306,12 @@ def rescattered(task: Task, fits: Fits) -> Fits:
             fits = replace(fits, spread=spread)
     if not (task.estimate_scatter and task.mu_free):
         return fits
-    parts = parts_of(task, fits)
+    parts = split_by_push(task, fits)
 
     def cost(scatter):
         # Where the shared parameters stand: where a step would lead is not to be trusted yet.
-        found = normal(task, fits, scatter, parts)
-        A, scale = _scaled(found.H)
+        found = normal_equations(task, fits, scatter, parts)
+        A, scale = _scale(found.H)
         volume = np.linalg.slogdet(A)[1] + 2 * np.log(scale).sum(1)
         return found.cost + np.log1p(scatter[:, None] ** 2 * found.z).sum(axis=1) + volume
 
@@ -324,11 +324,11 @@ def rescattered(task: Task, fits: Fits) -> Fits:
     return replace(fits, scatter=best)
 
 
-def _rss(task: Task, fits: Fits, channel: int) -> NDArray:
+def _sum_residuals(task: EnsembleTask, fits: Fits, channel: int) -> NDArray:
     return fits.gram[:, :, channel, -1, -1].sum(axis=1)
 
 
-def penalised(task: Task, fits: Fits, some: NDArray | None = None) -> NDArray:
+def sum_squares(task: EnsembleTask, fits: Fits, some: NDArray | None = None) -> NDArray:
     """(m,) the sum of squares of all pushes, or of some, each push's own mu_s as it is."""
     some = np.arange(task.n) if some is None else some
     rss = np.einsum("mnk,mk->m", fits.gram[:, some][..., -1, -1], 1.0 / fits.spread**2)
@@ -337,17 +337,17 @@ def penalised(task: Task, fits: Fits, some: NDArray | None = None) -> NDArray:
     return rss + (fits.own[:, some] ** 2).sum(axis=1) / fits.scatter**2
 
 
-def covariance(task: Task, fits: Fits) -> NDArray:
+def covariance(task: EnsembleTask, fits: Fits) -> NDArray:
     """(m, P, P) of mu_s, the shared parameters and each fit's own, as coordinates; zero for what is
     at a bound, where the others' are as if it were known."""
-    H = normal(task, fits).H
-    held = _at_bound(task, fits, H.shape[1])
+    H = normal_equations(task, fits).H
+    held = _find_at_bound(task, fits, H.shape[1])
     held = held[:, :, None] | held[:, None, :]
-    A, scale = _scaled(np.where(held, 0.0, H))
+    A, scale = _scale(np.where(held, 0.0, H))
     return np.where(held, 0.0, np.linalg.inv(A) / (scale[:, :, None] * scale[:, None, :]))
 
 
-def _at_bound(task: Task, fits: Fits, P: int) -> NDArray:
+def _find_at_bound(task: EnsembleTask, fits: Fits, P: int) -> NDArray:
     """(m, P) which columns are at a bound."""
     coordinates, out = task.model.coordinates, np.zeros((fits.m, P), bool)
     for j, extra in enumerate(fits.extra):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.estimation import ensemble as en
-from difffric.estimation.ensemble import Fits, Task
+from difffric.estimation.ensemble import EnsembleTask, Fits
 
 _STALE = 1.0
 """Standard deviations that a push's own mu_s may be off where a fit stands."""
@@ -31,7 +31,7 @@ _WORTH = 1.0
 """By how much a sum of squares must fall to be worth another branch."""
 
 
-def bounded(H, g, now, lower, upper, damping=0.0) -> NDArray:
+def solve_within(H, g, now, lower, upper, damping=0.0) -> NDArray:
     """(m, P) steps that end within bounds: what would cross one ends there, and the others make
     the best of it."""
     stopped = np.zeros(now.shape, bool)
@@ -49,23 +49,23 @@ def bounded(H, g, now, lower, upper, damping=0.0) -> NDArray:
     return np.clip(now + step, lower, upper) - now
 
 
-def moved(task: Task, fits: Fits, damping) -> Fits:
+def take_step(task: EnsembleTask, fits: Fits, damping) -> Fits:
     """The fits one damped Gauss-Newton step on, within the bounds; answers not yet there."""
-    found = en.normal(task, fits)
-    now = _point(task, fits)
-    step = bounded(found.H, found.g, now, *_limits(task, fits), damping)
+    found = en.normal_equations(task, fits)
+    now = _gather_point(task, fits)
+    step = solve_within(found.H, found.g, now, *_find_limits(task, fits), damping)
     new = now + step
     weight = 1.0 / (found.z + 1.0 / fits.scatter[:, None] ** 2)
     own = -(found.gm + np.einsum("mnp,mp->mn", found.h, step)) * weight
-    return replace(_placed_at(task, fits, new), own=own, gram=None)
+    return replace(_place_at(task, fits, new), own=own, gram=None)
 
 
-def _settled(task: Task, fits: Fits, pushes: NDArray | None) -> Fits:
+def _settle_own(task: EnsembleTask, fits: Fits, pushes: NDArray | None) -> Fits:
     """The fits followed where they stand, each push's own mu_s brought to what is best there:
     what a step said of it is not exact, and a push may tell its mu_s to a part in ten thousand."""
-    fits = en.evaluated(task, fits, pushes)
+    fits = en.evaluate(task, fits, pushes)
     for _ in range(_SETTLING if task.mu_free else 0):
-        found = en.normal(task, fits)
+        found = en.normal_equations(task, fits)
         best = -found.gm / (found.z + 1.0 / fits.scatter[:, None] ** 2)
         away = np.abs(best - fits.own)
         off = (away * np.sqrt(found.z)).max(axis=1) > _STALE
@@ -73,58 +73,58 @@ def _settled(task: Task, fits: Fits, pushes: NDArray | None) -> Fits:
         if not off.any():
             break
         again = fits.pick(off := np.flatnonzero(off))
-        again = en.evaluated(task, replace(again, own=best[off]), pushes)
-        better = en.penalised(task, again) < en.penalised(task, fits.pick(off))
+        again = en.evaluate(task, replace(again, own=best[off]), pushes)
+        better = en.sum_squares(task, again) < en.sum_squares(task, fits.pick(off))
         if better.any():
-            fits = replaced(fits, off[better], again.pick(np.flatnonzero(better)))
+            fits = replace_fits(fits, off[better], again.pick(np.flatnonzero(better)))
     return fits
 
 
-def _columns(task: Task, extra: tuple[int, ...]) -> list[int]:
+def _list_columns(task: EnsembleTask, extra: tuple[int, ...]) -> list[int]:
     """Coordinates behind the columns after the conditions' mu_s."""
     return [*task.shared, *extra]
 
 
-def _limits(task: Task, fits: Fits):
-    coordinates, P = task.model.coordinates, _point(task, fits).shape[1]
+def _find_limits(task: EnsembleTask, fits: Fits):
+    coordinates, P = task.model.coordinates, _gather_point(task, fits).shape[1]
     lower, upper = np.full((fits.m, P), -np.inf), np.full((fits.m, P), np.inf)
     for j, extra in enumerate(fits.extra):
-        for k, i in enumerate(_columns(task, extra)):
+        for k, i in enumerate(_list_columns(task, extra)):
             lower[j, task.conditions + k], upper[j, task.conditions + k] = coordinates.bounds(
                 coordinates.names[i]
             )
     return lower, upper
 
 
-def _point(task: Task, fits: Fits) -> NDArray:
+def _gather_point(task: EnsembleTask, fits: Fits) -> NDArray:
     width = len(task.shared) + max((len(x) for x in fits.extra), default=0)
     if fits.gram is not None:
         width = max(width, fits.gram.shape[-1] - 2)
     out = np.zeros((fits.m, task.conditions + width))
     out[:, : task.conditions] = fits.mu
     for j, extra in enumerate(fits.extra):
-        for k, i in enumerate(_columns(task, extra)):
+        for k, i in enumerate(_list_columns(task, extra)):
             out[j, task.conditions + k] = fits.c[j, i]
     return out
 
 
-def _placed_at(task: Task, fits: Fits, point: NDArray) -> Fits:
+def _place_at(task: EnsembleTask, fits: Fits, point: NDArray) -> Fits:
     c = fits.c.copy()
     for j, extra in enumerate(fits.extra):
-        for k, i in enumerate(_columns(task, extra)):
+        for k, i in enumerate(_list_columns(task, extra)):
             c[j, i] = point[j, task.conditions + k]
     return replace(fits, mu=point[:, : task.conditions].copy(), c=c)
 
 
-def refitted(
-    task: Task, fits: Fits, rounds: int, pushes: NDArray | None = None, tol: float = 0.02
+def refit(
+    task: EnsembleTask, fits: Fits, rounds: int, pushes: NDArray | None = None, tol: float = 0.02
 ) -> Fits:
     """The fits after at most `rounds` of Levenberg-Marquardt, those that have arrived resting.
 
     A fit has arrived where less than `tol` is left to gain in chi-square.
     """
     if fits.gram is None:
-        fits = en.rescattered(task, _settled(task, fits, pushes))
+        fits = en.estimate_scatters(task, _settle_own(task, fits, pushes))
     damping = fits.damping if fits.damping is not None else np.full(fits.m, 1e-3)
     active = np.ones(fits.m, bool)
     for _ in range(rounds):
@@ -132,20 +132,20 @@ def refitted(
         if not len(which):
             break
         at = fits.pick(which)
-        trial = _settled(task, moved(task, at, damping[which]), pushes)
-        before, after = en.settled_cost(task, at), en.settled_cost(task, trial)
+        trial = _settle_own(task, take_step(task, at, damping[which]), pushes)
+        before, after = en.profile_cost(task, at), en.profile_cost(task, trial)
         better = after < before
         gain = before - after
         damping[which] = np.where(better, np.maximum(damping[which] / 8, 1e-9), damping[which] * 8)
         done = (better & (gain < tol)) | (damping[which] > 1e6)
         if better.any():
-            good = en.rescattered(task, trial.pick(np.flatnonzero(better)))
-            fits = replaced(fits, which[better], good)
+            good = en.estimate_scatters(task, trial.pick(np.flatnonzero(better)))
+            fits = replace_fits(fits, which[better], good)
         active[which[done]] = False
     return replace(fits, damping=damping)
 
 
-def reowned(task: Task, fits: Fits, pushes: NDArray | None = None) -> Fits:
+def rescan_bad_pushes(task: EnsembleTask, fits: Fits, pushes: NDArray | None = None) -> Fits:
     """The fits with each push's own mu_s taken from a grid where that fits better, in pushes that
     fit badly: beside a strong effect a push may have several mu_s that no small step betters."""
     if not task.mu_free:
@@ -154,30 +154,30 @@ def reowned(task: Task, fits: Fits, pushes: NDArray | None = None) -> Fits:
     cost = np.einsum("mnk,mk->mn", fits.gram[..., -1, -1], 1.0 / fits.spread**2)
     bad = np.zeros(cost.shape, bool)
     bad[:, which] = cost[:, which] > _BAD * np.maximum(task.counts[which].sum(axis=1), 1.0)
-    return _from_grid(task, fits, bad, np.broadcast_to(_OWN, (*bad.shape, len(_OWN))), 0.0)
+    return _rescan(task, fits, bad, np.broadcast_to(_OWN, (*bad.shape, len(_OWN))), 0.0)
 
 
-def resettled(task: Task, fits: Fits) -> Fits:
+def rescan_loose_pushes(task: EnsembleTask, fits: Fits) -> Fits:
     """The same in pushes that hardly tell their own mu_s, within what they leave open: where a push
     sticks, its answer jumps with mu_s, and no derivative says so."""
     if not task.mu_free:
         return fits
-    error = _own_errors(fits)
-    return _from_grid(task, fits, error > _LOOSE, _about(fits, error), 1.0)
+    error = _compute_own_errors(fits)
+    return _rescan(task, fits, error > _LOOSE, _make_grid(fits, error), 1.0)
 
 
-def _own_errors(fits: Fits) -> NDArray:
+def _compute_own_errors(fits: Fits) -> NDArray:
     """(m, n) standard errors of each push's own log mu_s."""
     z = np.einsum("mnk,mk->mn", fits.gram[:, :, :, 0, 0], 1.0 / fits.spread**2)
     return (z + 1.0 / fits.scatter[:, None] ** 2) ** -0.5
 
 
-def _about(fits: Fits, error: NDArray) -> NDArray:
+def _make_grid(fits: Fits, error: NDArray) -> NDArray:
     """(m, n, values) within what the pushes leave open."""
     return fits.own[:, :, None] + error[:, :, None] * _NEAR
 
 
-def _from_grid(task: Task, fits: Fits, asked: NDArray, grid: NDArray, charged: float) -> Fits:
+def _rescan(task: EnsembleTask, fits: Fits, asked: NDArray, grid: NDArray, charged: float) -> Fits:
     """The fits with the own mu_s of the pushes `asked` (m, n) from `grid` (m, n, values) where that
     fits better, and the very same where none does. `charged`: whether the scatter speaks too."""
     j, i = np.nonzero(asked)
@@ -187,7 +187,7 @@ def _from_grid(task: Task, fits: Fits, asked: NDArray, grid: NDArray, charged: f
     before = np.einsum("pk,pk->p", fits.gram[j, i][..., -1, -1], 1.0 / fits.spread[j] ** 2)
     before = before + penalty * fits.own[j, i] ** 2
     tried = grid[j, i]
-    squares = _squares_at(task, fits, j, i, fits.c[j], fits.mu[j, task.condition[i]], tried)
+    squares = _sum_squares_at(task, fits, j, i, fits.c[j], fits.mu[j, task.condition[i]], tried)
     value = squares + penalty[:, None] * tried**2
     best = np.argmin(value, axis=1)
     better = np.take_along_axis(value, best[:, None], 1)[:, 0] < before - _WORTH
@@ -198,7 +198,9 @@ def _from_grid(task: Task, fits: Fits, asked: NDArray, grid: NDArray, charged: f
     return replace(fits, own=own, gram=None, residual=None, damping=None)
 
 
-def _squares_at(task: Task, fits: Fits, j, i, c: NDArray, mu: NDArray, own: NDArray) -> NDArray:
+def _sum_squares_at(
+    task: EnsembleTask, fits: Fits, j, i, c: NDArray, mu: NDArray, own: NDArray
+) -> NDArray:
     """(N, values) sums of squares of pushes i of fits j at coordinates c (N, K), log mu_s mu (N,)
     and each of own (N, values); infinite where a push could not be followed."""
     N, values = own.shape
@@ -210,7 +212,7 @@ def _squares_at(task: Task, fits: Fits, j, i, c: NDArray, mu: NDArray, own: NDAr
     return np.where(np.isfinite(squares), squares, np.inf).reshape(N, values)
 
 
-def replaced(fits: Fits, which, new: Fits) -> Fits:
+def replace_fits(fits: Fits, which, new: Fits) -> Fits:
     """The fits with some of them replaced."""
 
     def put(old, values):
@@ -218,7 +220,7 @@ def replaced(fits: Fits, which, new: Fits) -> Fits:
             return old
         out = old.copy()
         if out.ndim > 3 and out.shape[-1] != values.shape[-1] and out.shape[-2] == out.shape[-1]:
-            values = en.widened(values, out.shape[-1])
+            values = en.widen(values, out.shape[-1])
         out[which] = values
         return out
 
@@ -238,57 +240,59 @@ class HeldOut(NamedTuple):
     explains the scatter of mu_s, as a drift does, gains here and not in the squares"""
 
 
-def held_out(task: Task, fits: Fits, folds: NDArray) -> HeldOut:
+def predict_held_out(task: EnsembleTask, fits: Fits, folds: NDArray) -> HeldOut:
     """Each push as predicted by a fit to the other folds. `folds` (n,) numbers each push's fold.
 
     The parameters without a fold are one Gauss-Newton step from the fit to everything, or, where
     that leads astray, fitted anew; the push is then followed with them, exactly.
     """
-    parts = en.parts_of(task, fits)
+    parts = en.split_by_push(task, fits)
     H_i, h, z, g_i, gm, _ = parts
     weight = 1.0 / (z + 1.0 / fits.scatter[:, None] ** 2)
     H_i = H_i - np.einsum("mnp,mnq,mn->mnpq", h, h, weight)
     g_i = g_i - h * (gm * weight)[:, :, None]
-    limits, now = _limits(task, fits), _point(task, fits)
+    limits, now = _find_limits(task, fits), _gather_point(task, fits)
     c = np.repeat(fits.c[:, None], task.n, axis=1)
     mu = np.zeros((fits.m, task.n))
     for fold in np.unique(folds):
         out = folds == fold
         H, g = H_i[:, ~out].sum(axis=1), g_i[:, ~out].sum(axis=1)
-        at = _placed_at(task, fits, now + bounded(H, g, now, *limits))
+        at = _place_at(task, fits, now + solve_within(H, g, now, *limits))
         c[:, out], mu[:, out] = at.c[:, None], at.mu[:, task.condition[out]]
-    found = _predicted(task, fits, c, mu)
+    found = _predict(task, fits, c, mu)
     seen = np.einsum("mnk,mk->mn", fits.gram[..., -1, -1], 1.0 / fits.spread**2)
     numbers = task.counts.sum(axis=1)
     jumps = found.squares > seen + _JUMP * np.sqrt(2 * numbers)
-    branches = _on_branches(task, fits, jumps, c, mu)
+    branches = _choose_branches(task, fits, jumps, c, mu)
     if branches is not fits:
-        fits, found = branches, _predicted(task, branches, c, mu)
+        fits, found = branches, _predict(task, branches, c, mu)
     astray = found.squares > _ASTRAY * (seen + numbers)
     for j, fold in {(j, folds[i]) for j, i in np.argwhere(astray)}:
         out = folds == fold
         at = replace(fits.pick([j]), gram=None, residual=None, damping=None)
-        at = refitted(task, at, _ANEW, np.flatnonzero(~out))
+        at = refit(task, at, _ANEW, np.flatnonzero(~out))
         c[j, out], mu[j, out] = at.c, at.mu[0, task.condition[out]]
-    return _predicted(task, fits, c, mu) if astray.any() else found
+    return _predict(task, fits, c, mu) if astray.any() else found
 
 
-def _on_branches(task: Task, fits: Fits, asked: NDArray, c: NDArray, mu: NDArray) -> Fits:
+def _choose_branches(
+    task: EnsembleTask, fits: Fits, asked: NDArray, c: NDArray, mu: NDArray
+) -> Fits:
     """The fits with the own mu_s, of those pushes `asked` (m, n) that hardly tell it, that are best
     at coordinates c (m, n, K) and log mu_s mu (m, n)."""
-    error = _own_errors(fits)
+    error = _compute_own_errors(fits)
     j, i = np.nonzero(asked & (error > _LOOSE))
     if not task.mu_free or not len(j):
         return fits
-    tried = _about(fits, error)[j, i]
-    value = _squares_at(task, fits, j, i, c[j, i], mu[j, i], tried)
+    tried = _make_grid(fits, error)[j, i]
+    value = _sum_squares_at(task, fits, j, i, c[j, i], mu[j, i], tried)
     value = value + (tried / fits.scatter[j, None]) ** 2
     own = fits.own.copy()
     own[j, i] = np.take_along_axis(tried, np.argmin(value, axis=1)[:, None], 1)[:, 0]
     return replace(fits, own=own)
 
 
-def _predicted(task: Task, fits: Fits, c: NDArray, mu: NDArray) -> HeldOut:
+def _predict(task: EnsembleTask, fits: Fits, c: NDArray, mu: NDArray) -> HeldOut:
     """Pushes followed at coordinates c (m, n, K), log mu_s (m, n), their own re-estimated."""
     own, c = fits.own, c.copy()
     squares, penalised, surprise = np.full((3, fits.m, task.n), np.inf)

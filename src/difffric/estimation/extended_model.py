@@ -44,7 +44,7 @@ TOLERANCE = 1e-7
 Array = Any
 
 
-class Pushes(NamedTuple):
+class StackedPushes(NamedTuple):
     """What each push says of itself, and its samples; (n, ...) stacked."""
 
     velocity: Array
@@ -59,7 +59,7 @@ class Pushes(NamedTuple):
     (n, 2))"""
 
 
-class Answer(NamedTuple):
+class PushAnswer(NamedTuple):
     """One pair's answer."""
 
     gram: Array
@@ -70,7 +70,7 @@ class Answer(NamedTuple):
     """(2, m) whitened; of a table m = 1"""
 
 
-def own_rig(coordinates: Coordinates, rig: Rig, push: Pushes, c) -> Rig:
+def build_push_rig(coordinates: Coordinates, rig: Rig, push: StackedPushes, c) -> Rig:
     """The rig of one push at coordinates c (coordinates,)."""
     known = {name.partition(".")[0] for name in coordinates.names}
     given = {"mass_kg": push.mass}
@@ -80,22 +80,24 @@ def own_rig(coordinates: Coordinates, rig: Rig, push: Pushes, c) -> Rig:
     return coordinates.rig(rig, c, given, push.stroke)
 
 
-def _mean(blocks: UnevenBlocks, at_instants):
+def _average(blocks: UnevenBlocks, at_instants):
     return 0.5 * (at_instants[blocks.first] + at_instants[blocks.second])
 
 
-def _white(blocks: UnevenBlocks, r):
+def _whiten(blocks: UnevenBlocks, r):
     before = jnp.concatenate([jnp.zeros_like(r[:1]), r[:-1]])
     return (blocks.a * r.T - blocks.b * before.T).T
 
 
-def _recordings(coordinates, rig, pushes: Pushes, c, directions, steps: int) -> Answer:
+def _answer_recordings(
+    coordinates, rig, pushes: StackedPushes, c, directions, steps: int
+) -> PushAnswer:
     """The answers for B recorded pushes at coordinates (B, K), along directions (B, D, K)."""
     force, position = pushes.data
     integrator = RungeKutta(TOLERANCE)
 
     def readings(c):
-        rigs = jax.vmap(lambda push, c: own_rig(coordinates, rig, push, c))(pushes, c)
+        rigs = jax.vmap(lambda push, c: build_push_rig(coordinates, rig, push, c))(pushes, c)
         v = jax.vmap(lambda rig, v: rig.pusher.speed(v))(rigs, pushes.velocity)
         paths = follow_together(partial(integrator.marcher, blind=True), rigs, v, steps)
         f, x = jax.vmap(lambda path, *t: path.read(*t))(paths, force.t, position.t)
@@ -105,58 +107,60 @@ def _recordings(coordinates, rig, pushes: Pushes, c, directions, steps: int) -> 
         seen = jax.vmap(lambda rig, v, m: marched(integrator.marcher(rig, v, True), m))
         seen = seen(rigs, v, paths.end)
         model = jnp.stack([seen.peak_force, seen.sliding_distance], axis=1)
-        means = jax.vmap(_mean)
+        means = jax.vmap(_average)
         return (means(force, f), means(position, x)), model
 
-    ((f, x), model), (by, _) = _along(readings, c, directions)
+    ((f, x), model), (by, _) = _differentiate(readings, c, directions)
 
-    def compared(blocks: UnevenBlocks, model, by, centred):
-        A = _white(blocks, jnp.column_stack([-by.T, blocks.y - model]))
+    def compare(blocks: UnevenBlocks, model, by, centred):
+        A = _whiten(blocks, jnp.column_stack([-by.T, blocks.y - model]))
         if centred:  # the position's zero is arbitrary
-            one = _white(blocks, jnp.ones_like(blocks.y))
+            one = _whiten(blocks, jnp.ones_like(blocks.y))
             norm = jnp.sum(one**2)
             A = A - one[:, None] * ((one @ A) / jnp.where(norm > 0, norm, 1.0))
         return A.T @ A, A[:, -1]
 
     by_f, by_x = (jnp.moveaxis(a, 0, 1) for a in by)
-    G_f, r_f = jax.vmap(partial(compared, centred=False))(force, f, by_f)
-    G_x, r_x = jax.vmap(partial(compared, centred=True))(position, x, by_x)
-    return Answer(jnp.stack([G_f, G_x], 1), model, jnp.stack([r_f, r_x], 1))
+    G_f, r_f = jax.vmap(partial(compare, centred=False))(force, f, by_f)
+    G_x, r_x = jax.vmap(partial(compare, centred=True))(position, x, by_x)
+    return PushAnswer(jnp.stack([G_f, G_x], 1), model, jnp.stack([r_f, r_x], 1))
 
 
-def _table(coordinates, rig, pushes: Pushes, c, directions, steps: int) -> Answer:
+def _answer_table(coordinates, rig, pushes: StackedPushes, c, directions, steps: int) -> PushAnswer:
     """The same for a table's F_p and d."""
     integrator: Any = RungeKutta(TOLERANCE, most=steps)
 
     def numbers(c):
         def one(push, c):
-            at = own_rig(coordinates, rig, push, c)
+            at = build_push_rig(coordinates, rig, push, c)
             seen = observe(at, push.velocity, integrator)
             return jnp.stack([seen.peak_force, seen.sliding_distance])
 
         return jax.vmap(one)(pushes._replace(data=None), c)
 
-    return _compared(pushes, *_along(numbers, c, directions))
+    return _compare_numbers(pushes, *_differentiate(numbers, c, directions))
 
 
-def _compared(pushes: Pushes, model, by) -> Answer:
+def _compare_numbers(pushes: StackedPushes, model, by) -> PushAnswer:
     """Reduced numbers (B, 2) and their derivatives (D, B, 2) beside what was measured."""
     measured, weight = pushes.data
     # Where the part never leaves the tip it slides no distance: d counts as 0.
     r = weight * (measured - jnp.where(jnp.isnan(model), 0.0, model))
     J = -weight * jnp.where(jnp.isnan(by), 0.0, by)
     A = jnp.concatenate([jnp.moveaxis(J, 0, 2), r[:, :, None]], axis=2)
-    return Answer(A[:, :, :, None] * A[:, :, None, :], model, r[:, :, None])
+    return PushAnswer(A[:, :, :, None] * A[:, :, None, :], model, r[:, :, None])
 
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(48)
 
 
-def _slides(coordinates, rig, pushes: Pushes, c, directions, steps: int) -> Answer:
+def _answer_slides(
+    coordinates, rig, pushes: StackedPushes, c, directions, steps: int
+) -> PushAnswer:
     """The same for the distances of free slides, `velocity` being that at release."""
 
     def slid(push, c):
-        at = own_rig(coordinates, rig, push, c)
+        at = build_push_rig(coordinates, rig, push, c)
         # d = integral of u du / (F(u) / m) from 0 to v, in s with u = v s^2: fine at low speed.
         s = jnp.asarray(0.5 * (_NODES + 1))
         u = push.velocity * s**2
@@ -167,10 +171,10 @@ def _slides(coordinates, rig, pushes: Pushes, c, directions, steps: int) -> Answ
     def numbers(c):
         return jax.vmap(slid)(pushes._replace(data=None), c)
 
-    return _compared(pushes, *_along(numbers, c, directions))
+    return _compare_numbers(pushes, *_differentiate(numbers, c, directions))
 
 
-def _along(function, c, directions):
+def _differentiate(function, c, directions):
     """(value, derivatives along `directions` (B, D, K), in front)."""
     along = jax.vmap(lambda v: jax.jvp(function, (c,), (v,)), in_axes=1, out_axes=(None, 0))
     return along(directions)
@@ -179,7 +183,7 @@ def _along(function, c, directions):
 @lru_cache(maxsize=16)
 def _compiled(coordinates: Coordinates, kind: str, steps: int, structure, shapes):
     """The program for all data of this kind and these shapes."""
-    answer = {RECORDINGS: _recordings, TABLE: _table, SLIDES: _slides}[kind]
+    answer = {RECORDINGS: _answer_recordings, TABLE: _answer_table, SLIDES: _answer_slides}[kind]
 
     def program(rig, pushes, c, directions):
         return answer(coordinates, rig, pushes, c, directions, steps)
@@ -195,7 +199,7 @@ class ExtendedModel:
     coordinates: Coordinates
     rig: Rig
     """with all effects that the coordinates know, but for bristles"""
-    pushes: Pushes
+    pushes: StackedPushes
     kind: str
     """`table`, `slides` or `recordings`"""
     directions: int = 8
@@ -221,7 +225,7 @@ class ExtendedModel:
         """Without them."""
         return replace(self, coordinates=self.coordinates.without(PRESLIDING))
 
-    def _rows(self, index: NDArray) -> Pushes:
+    def _pick_rows(self, index: NDArray) -> StackedPushes:
         """Some pushes; the program does not know how many there are."""
         return jax.tree.map(lambda column: np.asarray(column)[index], self.pushes)
 
@@ -229,7 +233,7 @@ class ExtendedModel:
         K = len(self.coordinates.names)
         return (
             self._rig,
-            self._rows(np.zeros(BATCH, int)),
+            self._pick_rows(np.zeros(BATCH, int)),
             jnp.zeros((BATCH, K)),
             jnp.zeros((BATCH, self.directions, K)),
         )
@@ -252,7 +256,7 @@ class ExtendedModel:
         with suppress(Exception):  # XLA has failed where two compiled at once; its use asks again
             _ = self._unbent._compiled
 
-    def answers(self, index: NDArray, c: NDArray, directions: NDArray) -> Answer:
+    def answers(self, index: NDArray, c: NDArray, directions: NDArray) -> PushAnswer:
         """For N pairs: pushes `index` (N,), coordinates (N, K), directions (N, D, K) or (D, K).
         NumPy arrays come back, Gram matrices of D + 1 columns."""
         names = self.coordinates.names
@@ -266,7 +270,7 @@ class ExtendedModel:
         back = np.argsort(np.argsort(bent, kind="stable"), kind="stable")
         return jax.tree.map(lambda *a: np.concatenate(a)[back], *parts)
 
-    def _answers(self, index: NDArray, c: NDArray, directions: NDArray) -> Answer:
+    def _answers(self, index: NDArray, c: NDArray, directions: NDArray) -> PushAnswer:
         N, K = c.shape
         if directions.shape[1] > self.directions:
             return self._wider._answers(index, c, directions)
@@ -284,7 +288,7 @@ class ExtendedModel:
             return jax.tree.map(
                 lambda a: np.asarray(a)[:size],
                 self._compiled(
-                    self._rig, self._rows(index[part][fill]), c[part][fill], padded[part][fill]
+                    self._rig, self._pick_rows(index[part][fill]), c[part][fill], padded[part][fill]
                 ),
             )
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from difffric.estimation.mixed_fit import Model, descend, first_point
 from difffric.estimation.residuals import SlidePush, TablePush
-from difffric.estimation.stacked_data import SLIDES, TABLE, FitData, padded, strokes_of
+from difffric.estimation.stacked_data import SLIDES, TABLE, FitData, find_strokes, pad
 from difffric.measurements.pushes import Pushes
 from difffric.rig.rig import Rig
 
@@ -28,12 +28,12 @@ def design_data(rig: Rig, pushes: Pushes) -> tuple[Rig, FitData]:
     if pushes.free_slides:
         kind, made = SLIDES, SlidePush(pushes.release_velocity, np.ones((n, 1)))
     else:
-        rig, strokes = strokes_of(rig, pushes.stroke)
+        rig, strokes = find_strokes(rig, pushes.stroke)
         kind, made = TABLE, TablePush(pushes.velocity, strokes, np.ones((n, 2)))
     m, none = len(made.channels), np.zeros(0)
     return rig, FitData(
         kind=kind,
-        pushes=padded(made, n),
+        pushes=pad(made, n),
         n=n,
         weights=np.zeros((n, m)),
         group=np.full((n, m), -1),

@@ -28,7 +28,7 @@ from difffric.estimation.restricted_likelihood import (
     estimate_variances,
     linearise,
 )
-from difffric.estimation.stacked_data import RECORDINGS, FitData, padded
+from difffric.estimation.stacked_data import RECORDINGS, FitData, pad
 from difffric.rig.parameters import PARAMETERS
 from difffric.rig.rig import Rig
 
@@ -105,7 +105,7 @@ def first_point(model: Model, data: FitData, theta: NDArray) -> Settled:
     )
 
 
-def problem_of(model: Model, data: FitData, held, theta, scatter, weights, trust) -> Problem:
+def pose_problem(model: Model, data: FitData, held, theta, scatter, weights, trust) -> Problem:
     """The penalised least-squares problem with some parameters held."""
     layout = model.layout.without(held, theta)
     n, P = data.n, layout.n_free
@@ -124,8 +124,8 @@ def problem_of(model: Model, data: FitData, held, theta, scatter, weights, trust
         rig=pytrees.as_arrays(model.rig),
         integrator=model.integrator,
         pushes=data.pushes,
-        selection=padded(selection, n),
-        fixed=padded(layout.fixed, n),
+        selection=pad(selection, n),
+        fixed=pad(layout.fixed, n),
         scatter=jnp.asarray(scatter),
         weights=jnp.asarray(row_weights),
         prior=jnp.asarray(prior),
@@ -162,7 +162,7 @@ def _pose_descent(
     steps: int,
 ) -> tuple[Problem, FitPoint, Any]:
     """What `minimise` takes."""
-    problem = problem_of(model, data, held, at.theta, scatter, weights, trust)
+    problem = pose_problem(model, data, held, at.theta, scatter, weights, trust)
     theta = np.zeros(problem.prior.shape[0])
     theta[: len(at.theta)] = np.where(held, 0.0, at.theta)
     eta = np.zeros(problem.weights.shape[0])
@@ -173,7 +173,7 @@ def _pose_descent(
     return problem, point, jnp.asarray(steps)
 
 
-def moved(at: Settled, end: End, held, scatter) -> Settled:
+def take_end(at: Settled, end: End, held, scatter) -> Settled:
     """The point that a descent ended at."""
     n, P = len(at.s_eta), len(at.theta)
     theta = np.where(held, at.theta, np.asarray(end.point.theta)[:P])
@@ -188,7 +188,7 @@ def moved(at: Settled, end: End, held, scatter) -> Settled:
     )
 
 
-def linear_at(model: Model, data: FitData, at: Settled, factor: NDArray | float = 1.0):
+def linearise_at(model: Model, data: FitData, at: Settled, factor: NDArray | float = 1.0):
     """The linear mixed model about a point; a held parameter's column is empty."""
     layout, n = model.layout, data.n
     weight = np.where(at.held, 0.0, 1.0 / layout.prior_sd)
@@ -220,29 +220,33 @@ def settle(model: Model, data: FitData, at: Settled, *, trust=30.0, rounds=ROUND
     released, first, settled, last = 0, True, False, np.inf
     for _ in range(rounds):
         scatter = at.scatter
-        weights = _weights(data, at.spreads) * robust
+        weights = _scale_weights(data, at.spreads) * robust
         end = descend(model, data, at, held, weights, scatter, trust)
         if not np.isfinite(float(end.chi2)):
             raise NumericalError("fit: the misfit is not finite where the search ended")
-        at = replace(moved(at, end, held, scatter), weights=weights)
-        stuck = _at_bounds(model, data, at)
+        at = replace(take_end(at, end, held, scatter), weights=weights)
+        stuck = _find_at_bounds(model, data, at)
         if stuck.any():
-            at = replace(at, theta=_clipped(model, at.theta, stuck), held=held | stuck)
+            at = replace(at, theta=_clip(model, at.theta, stuck), held=held | stuck)
             held = at.held
             continue
         found = estimate_variances(
-            linear_at(model, data, at, robust), scatter, at.spreads, model.estimate_scatter, first
+            linearise_at(model, data, at, robust),
+            scatter,
+            at.spreads,
+            model.estimate_scatter,
+            first,
         )
         before, first = (scatter, at.spreads), False
         at = replace(at, components=found, scatter=found.scatter, spreads=found.spreads)
-        steady = _close(before[0], found.scatter) and np.allclose(
+        steady = _is_close(before[0], found.scatter) and np.allclose(
             before[1], found.spreads, rtol=2e-3
         )
         if model.robust:
-            new = _huber(weights / robust, end, data)
+            new = _weigh_by_huber(weights / robust, end, data)
             steady &= bool(np.allclose(new, robust, atol=1e-2))
             robust = new
-        free = _leaving(model, data, at) if steady and released < 3 else np.zeros_like(held)
+        free = _find_leaving(model, data, at) if steady and released < 3 else np.zeros_like(held)
         if free.any():
             held, released = held & ~free, released + 1
             continue
@@ -257,13 +261,13 @@ def settle(model: Model, data: FitData, at: Settled, *, trust=30.0, rounds=ROUND
         at = replace(
             at,
             components=estimate_variances(
-                linear_at(model, data, at), at.scatter, at.spreads, model.estimate_scatter
+                linearise_at(model, data, at), at.scatter, at.spreads, model.estimate_scatter
             ),
         )
-    return replace(at, settled=settled, components=_with_bounds(model, data, at, robust))
+    return replace(at, settled=settled, components=_add_bounds(model, data, at, robust))
 
 
-def _with_bounds(model: Model, data: FitData, at: Settled, factor) -> Components:
+def _add_bounds(model: Model, data: FitData, at: Settled, factor) -> Components:
     """The components with the covariance and the step of a parameter at its bound, too.
 
     Without its column the others would be as certain as if its true value were the bound; with
@@ -272,28 +276,28 @@ def _with_bounds(model: Model, data: FitData, at: Settled, factor) -> Components
     found = at.components
     if not (at.held & (at.theta > NOTHING)).any():
         return found
-    covariance, step = _unheld(model, data, at, factor)
+    covariance, step = _free_held(model, data, at, factor)
     freedom = np.where(np.isfinite(found.freedom), found.freedom, np.min(found.freedom))
     return found._replace(covariance=covariance, step=step, freedom=freedom)
 
 
 def full_covariance(model: Model, data: FitData, at: Settled) -> NDArray:
     """(P, P) of the coordinates as if none were at a bound, except a damping that is gone."""
-    return _unheld(model, data, at, 1.0)[0]
+    return _free_held(model, data, at, 1.0)[0]
 
 
-def _unheld(model: Model, data: FitData, at: Settled, factor) -> tuple[NDArray, NDArray]:
+def _free_held(model: Model, data: FitData, at: Settled, factor) -> tuple[NDArray, NDArray]:
     """Covariance (P, P) and generalised least-squares step (P,)."""
-    linear = linear_at(model, data, replace(at, held=at.held & (at.theta <= NOTHING)), factor)
+    linear = linearise_at(model, data, replace(at, held=at.held & (at.theta <= NOTHING)), factor)
     return estimate_shared(linear, at.scatter, at.spreads, model.estimate_scatter)
 
 
-def around(at: Settled) -> list[NDArray]:
+def spread_push_friction(at: Settled) -> list[NDArray]:
     """Each push's own mu_s some multiples of the scatter to either side."""
     return [at.s_eta + shift * at.scatter for shift in OTHERWISE]
 
 
-def unstuck(
+def rescan_push_friction(
     model: Model, data: FitData, at: Settled, trials: Sequence[NDArray] | None = None
 ) -> Settled:
     """The point with each push's own mu_s where it fits best, among several starts: `trials`,
@@ -306,7 +310,7 @@ def unstuck(
         return at
     everything = np.ones_like(at.held)
     if trials is None:
-        trials = around(at)
+        trials = spread_push_friction(at)
 
     def cost(end):
         rows = at.weights * np.asarray(end.rows)[: data.n, :, -1]
@@ -325,22 +329,22 @@ def unstuck(
     return replace(at, s_eta=s_eta) if improved else at
 
 
-def _weights(data: FitData, spreads: NDArray) -> NDArray:
+def _scale_weights(data: FitData, spreads: NDArray) -> NDArray:
     own = np.concatenate([spreads, [1.0]])[data.group]  # -1 is the last: known
     return data.weights / own
 
 
-def _close(a: float, b: float) -> bool:
+def _is_close(a: float, b: float) -> bool:
     return abs(a - b) <= 2e-3 * max(a, b) or max(a, b) < 1e-5
 
 
-def _huber(clean_weights, end: End, data: FitData) -> NDArray:
+def _weigh_by_huber(clean_weights, end: End, data: FitData) -> NDArray:
     """Square roots of Huber's weights, for rows that are measurements."""
     r = np.abs(clean_weights * np.asarray(end.rows)[: data.n, :, -1])
     return np.sqrt(np.minimum(1.0, HUBER / np.maximum(r, HUBER)))
 
 
-def _at_bounds(model: Model, data: FitData, at: Settled) -> NDArray:
+def _find_at_bounds(model: Model, data: FitData, at: Settled) -> NDArray:
     layout = model.layout
     beyond = (at.theta < layout.lower) | (at.theta > layout.upper)
     rows = np.asarray(at.end.rows)[: data.n]
@@ -350,7 +354,7 @@ def _at_bounds(model: Model, data: FitData, at: Settled) -> NDArray:
     return (beyond | gone) & ~at.held
 
 
-def _clipped(model: Model, theta: NDArray, stuck: NDArray) -> NDArray:
+def _clip(model: Model, theta: NDArray, stuck: NDArray) -> NDArray:
     """At the bound that was passed, or at nothing where there is none."""
     layout = model.layout
     clipped = np.clip(theta, layout.lower, layout.upper)
@@ -359,7 +363,7 @@ def _clipped(model: Model, theta: NDArray, stuck: NDArray) -> NDArray:
     return np.where(stuck, np.where(inside, nothing, clipped), theta)
 
 
-def _leaving(model: Model, data: FitData, at: Settled) -> NDArray:
+def _find_leaving(model: Model, data: FitData, at: Settled) -> NDArray:
     """Which held parameters the misfit would pull back inside."""
     layout = model.layout
     rows = np.asarray(at.end.rows)[: data.n] * at.weights[..., None]

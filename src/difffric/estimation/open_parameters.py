@@ -27,7 +27,7 @@ _PART = 0.05
 _K_V = "k_v_N_s_per_m"
 
 
-def units(rig: Rig, names: Sequence[str], fastest: float) -> NDArray:
+def open_units(rig: Rig, names: Sequence[str], fastest: float) -> NDArray:
     """The standard error (free,), in coordinates, from which on each parameter counts as open.
 
     1 of a logarithm; for k_v what makes `SHARE` of the friction `mu_k F_N + k_v v` at the
@@ -43,7 +43,7 @@ def units(rig: Rig, names: Sequence[str], fastest: float) -> NDArray:
     return out
 
 
-def undetermined(
+def list_undetermined(
     labels: Sequence[str], names: Sequence[str], covariance: NDArray, unit: NDArray
 ) -> list[dict]:
     """The parameters that are not determined, in groups, each with its reason.
@@ -58,19 +58,19 @@ def undetermined(
     error = np.sqrt(np.diag(C))
     out = []
     for j in np.flatnonzero(error == 0).tolist():
-        out.append(_entry([labels[j]], "flat: the data do not depend on it"))
+        out.append(_make_entry([labels[j]], "flat: the data do not depend on it"))
     seen = np.flatnonzero(error > 0).tolist()
     left = [j for j in seen if error[j] >= 1]
-    alone = _alone(C[np.ix_(seen, seen)])
+    alone = _compute_errors_alone(C[np.ix_(seen, seen)])
     for j, own in zip(seen, alone, strict=True):
         if j in left and own >= 1:
             left.remove(j)
-            out.append(_entry([labels[j]], _flat(names[j], own, scale[j])))
+            out.append(_make_entry([labels[j]], _tell_flat(names[j], own, scale[j])))
     if not left:
         return out
     values, vectors = np.linalg.eigh(C[np.ix_(left, left)])
     wide = max(int((values >= 1).sum()), 1)
-    pivots, directions = _sparse(vectors[:, -wide:])
+    pivots, directions = _sparsify(vectors[:, -wide:])
     covered: set[int] = set()
     for p, direction in zip(pivots, directions.T, strict=True):
         first = left[p]
@@ -85,21 +85,23 @@ def undetermined(
         moves |= {j: float(C[j, first] / C[first, first]) for j in along}
         covered |= set(members)
         out.append(
-            _entry([labels[j] for j in members], _traded(first, moves, labels, names, scale))
+            _make_entry(
+                [labels[j] for j in members], _tell_trade(first, moves, labels, names, scale)
+            )
         )
     for j in left:
         if j not in covered:
             first = left[int(np.argmax(np.abs(C[j, left]) * (np.array(left) != j)))]
             moves = {j: 1.0, first: float(C[first, j] / C[j, j])}
-            out.append(_entry([labels[j]], _traded(j, moves, labels, names, scale)))
+            out.append(_make_entry([labels[j]], _tell_trade(j, moves, labels, names, scale)))
     return out
 
 
-def _entry(parameters: list[str], reason: str) -> dict:
+def _make_entry(parameters: list[str], reason: str) -> dict:
     return {"parameters": parameters, "reason": reason}
 
 
-def _alone(C: NDArray) -> NDArray:
+def _compute_errors_alone(C: NDArray) -> NDArray:
     """Standard error of each with all others known: the inverse covariance's diagonal."""
     size = np.sqrt(np.diag(C))
     values, vectors = np.linalg.eigh(C / np.outer(size, size))
@@ -107,7 +109,7 @@ def _alone(C: NDArray) -> NDArray:
     return 1 / np.sqrt(information)
 
 
-def _sparse(V: NDArray) -> tuple[list[int], NDArray]:
+def _sparsify(V: NDArray) -> tuple[list[int], NDArray]:
     """The space of V's columns (left, wide) by vectors each 1 at its own pivot and 0 at the
     others', so that what is open by itself does not mix with the rest."""
     rest, pivots = V.copy(), []
@@ -119,7 +121,7 @@ def _sparse(V: NDArray) -> tuple[list[int], NDArray]:
     return pivots, V @ np.linalg.inv(V[pivots])
 
 
-def _flat(name: str, own: float, unit: float) -> str:
+def _tell_flat(name: str, own: float, unit: float) -> str:
     if own >= UNSEEN:
         return "flat: the data do not depend on it"
     said = "one standard error, with all others known, is"
@@ -129,7 +131,7 @@ def _flat(name: str, own: float, unit: float) -> str:
     return f"flat: {said} a factor of {np.exp(min(own * unit, 50.0)):.3g}"
 
 
-def _traded(first: int, moves: dict[int, float], labels, names, scale) -> str:
+def _tell_trade(first: int, moves: dict[int, float], labels, names, scale) -> str:
     """The direction along which the data say nothing, for a small step of the first."""
     steps = {j: w * scale[j] / scale[first] for j, w in moves.items()}
     shown = [j for j in steps if j != first and abs(moves[j]) > _PART]

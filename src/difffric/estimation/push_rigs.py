@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from difffric.compute.pytrees import replicate
-from difffric.estimation.stacked_data import strokes_of
+from difffric.estimation.stacked_data import find_strokes
 from difffric.measurements.pushes import Pushes
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
@@ -19,7 +19,7 @@ def rigs_of(rig: Rig, pushes: Pushes) -> Rig:
     rigs = replicate(rig, len(pushes))
     mass = np.where(np.isnan(pushes.mass), rigs.mass, pushes.mass)
     rigs = parameters.with_values(rigs, {"mass_kg": mass})
-    _, strokes = strokes_of(rig, pushes.stroke)
+    _, strokes = find_strokes(rig, pushes.stroke)
     if rig.pusher.stroke is None and np.isinf(strokes).all():
         return rigs
     return parameters.with_stroke(rigs, np.asarray(strokes))

@@ -58,7 +58,7 @@ class TablePush(NamedTuple):
         distance: d counts as 0."""
 
         def residual(c):
-            seen = observe(_stroked(rig_at(rig, c), self.stroke), self.velocity, integrator)
+            seen = observe(_set_stroke(rig_at(rig, c), self.stroke), self.velocity, integrator)
             model = jnp.stack([seen.peak_force, seen.sliding_distance])
             reached = jnp.where(jnp.isnan(model), 0.0, model)
             r = jnp.where(jnp.isnan(self.measured), 0.0, self.measured - reached)
@@ -126,7 +126,7 @@ class TracePush(NamedTuple):
         few rows with the same normal equations and the same sum of squares."""
 
         def residual(c):
-            at = _stroked(rig_at(rig, c), self.stroke)
+            at = _set_stroke(rig_at(rig, c), self.stroke)
             push = Push.of(at, self.velocity, integrator)
             trajectory = Trajectory.of(pytrees.as_arrays(push), TRACE_CYCLES, TRACE_STRIDES)
             offset = to_value(START, c[-1])
@@ -134,17 +134,20 @@ class TracePush(NamedTuple):
             own = self.position.t
             t_position = t_force if own is None else own - offset
             force, position = trajectory.read(t_force, t_position)
-            rows = (_whitened(self.force, force), _centred(self.position, position))
+            rows = (
+                _whiten_residuals(self.force, force),
+                _centre_residuals(self.position, position),
+            )
             seen = trajectory.observables
             model = jnp.stack([seen.peak_force, seen.sliding_distance])
             return rows, (rows, model, trajectory.segments.t + offset)
 
         jacobian, (rows, model, jumps) = jax.jacfwd(residual, has_aux=True)(coordinates)
-        factors = [_triangle(J, r) for J, r in zip(jacobian, rows, strict=True)]
+        factors = [_factorise(J, r) for J, r in zip(jacobian, rows, strict=True)]
         return Rows(jnp.concatenate(factors), model, jumps)
 
 
-def _triangle(jacobian, r):
+def _factorise(jacobian, r):
     """The triangular factor of [J | r] by modified Gram-Schmidt: as accurate as Householder's,
     its diagonal not negative, so that it is continuous, and without a call to LAPACK, which
     may block when it is called for many pushes at once."""
@@ -162,12 +165,12 @@ def _triangle(jacobian, r):
     return jax.lax.fori_loop(0, size, column, (A, jnp.zeros((size, size))))[1]
 
 
-def _stroked(rig: Rig, stroke) -> Rig:
+def _set_stroke(rig: Rig, stroke) -> Rig:
     """The rig with this push's stroke; without any it stops at the first loss of contact."""
     return rig if rig.pusher.stroke is None else parameters.with_stroke(rig, stroke)
 
 
-def _block_means(grid: Grid, model):
+def _average_blocks(grid: Grid, model):
     bend = model[:-2] - 2 * model[1:-1] + model[2:]
     return model.at[1:-1].add(grid.curve * bend)
 
@@ -176,12 +179,12 @@ def _whiten(grid: Grid, x):
     return grid.a * x - grid.b * x[grid.before]
 
 
-def _whitened(grid: Grid, model):
-    return _whiten(grid, grid.y - _block_means(grid, model))
+def _whiten_residuals(grid: Grid, model):
+    return _whiten(grid, grid.y - _average_blocks(grid, model))
 
 
-def _centred(grid: Grid, model):
+def _centre_residuals(grid: Grid, model):
     """Whitened residuals less what an unknown zero can explain."""
-    r, one = _whitened(grid, model), _whiten(grid, jnp.ones_like(grid.y))
+    r, one = _whiten_residuals(grid, model), _whiten(grid, jnp.ones_like(grid.y))
     norm = jnp.sum(one**2)
     return r - one * (jnp.sum(one * r) / jnp.where(norm > 0, norm, 1.0))

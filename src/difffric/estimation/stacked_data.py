@@ -67,14 +67,14 @@ def sensor_errors(rig: Rig) -> tuple[float | None, float | None]:
     return F, float(np.sqrt(2 * (probe.noise**2 + probe.resolution**2 / 12)))
 
 
-def padded(array, n: int):
+def pad(array, n: int):
     """Entries of the first axis repeated up to the next multiple of `PADDING`."""
     whole = -(-n // PADDING) * PADDING
     index = np.concatenate([np.arange(n), np.zeros(whole - n, int)])
     return jax.tree.map(lambda a: jnp.asarray(np.asarray(a)[index]), array)
 
 
-def strokes_of(rig: Rig, stroke: NDArray) -> tuple[Rig, NDArray]:
+def find_strokes(rig: Rig, stroke: NDArray) -> tuple[Rig, NDArray]:
     """Each push's stroke [m], infinite without one; and the rig, which then has a stroke too
     wherever a push has one."""
     if rig.pusher.stroke is None and np.isnan(stroke).all():
@@ -86,11 +86,11 @@ def strokes_of(rig: Rig, stroke: NDArray) -> tuple[Rig, NDArray]:
 def table_data(rig: Rig, pushes: Pushes, noise: Sequence[float | None]) -> tuple[Rig, FitData]:
     """A table's F_p and d. `noise` (force, distance) stands in where a push gives no standard
     error; where it is None too, the spread is estimated with the rest."""
-    rig, strokes = strokes_of(rig, pushes.stroke)
+    rig, strokes = find_strokes(rig, pushes.stroke)
     measured = np.stack([pushes.peak_force, pushes.sliding_distance], axis=1)
     given = np.stack([pushes.peak_force_se, pushes.sliding_distance_se], axis=1)
     data = TablePush(pushes.velocity, strokes, measured)
-    return rig, _with_noise(TABLE, data, measured, given, noise, ("force", "distance"))
+    return rig, _add_noise(TABLE, data, measured, given, noise, ("force", "distance"))
 
 
 def slides_data(rig: Rig, pushes: Pushes, noise: float | None) -> FitData:
@@ -102,10 +102,10 @@ def slides_data(rig: Rig, pushes: Pushes, noise: float | None) -> FitData:
     )
     given = np.hypot(own, through)
     data = SlidePush(v, d[:, None])
-    return _with_noise(SLIDES, data, d[:, None], given[:, None], [None], ("distance",))
+    return _add_noise(SLIDES, data, d[:, None], given[:, None], [None], ("distance",))
 
 
-def _with_noise(kind, data, measured, given, noise, names) -> FitData:
+def _add_noise(kind, data, measured, given, noise, names) -> FitData:
     n, m = measured.shape
     present = np.isfinite(measured)
     if not present.any():
@@ -127,7 +127,7 @@ def _with_noise(kind, data, measured, given, noise, names) -> FitData:
     rough = np.maximum(rough, np.where(open_, floor, 0.0))
     return FitData(
         kind=kind,
-        pushes=padded(data, n),
+        pushes=pad(data, n),
         n=n,
         weights=present / known,
         group=group,
@@ -150,14 +150,14 @@ def traces_data(
     guard: float = 0.0,
 ) -> tuple[Rig, FitData]:
     """Whole recordings. A channel's samples come as `coordinates` + 1 rows of equal weight."""
-    rig, strokes = strokes_of(rig, np.array([r.stroke for r in recordings]))
+    rig, strokes = find_strokes(rig, np.array([r.stroke for r in recordings]))
     made = stack_even(recordings, details, strokes, fastest, jumps, guard)
     weights = np.repeat(np.where(made.counts > 0, 1.0 / made.levels, 0.0), coordinates + 1, axis=1)
     n = len(recordings)
     none = np.zeros(0)
     return rig, FitData(
         kind=RECORDINGS,
-        pushes=padded(made.pushes, n),
+        pushes=pad(made.pushes, n),
         n=n,
         weights=weights,
         group=np.full(weights.shape, -1),

@@ -184,7 +184,7 @@ def ask(question: Question) -> str | None:
     return None
 
 
-def compute_excess(task: en.Task, base: en.Fits, effect: str, sizes: Mapping) -> float:
+def compute_excess(task: en.EnsembleTask, base: en.Fits, effect: str, sizes: Mapping) -> float:
     """Return by how much -2 log likelihood with the effect at the best of some sizes is above that
     of `base`, the fit of the rig's own model.
 
@@ -205,8 +205,8 @@ def compute_excess(task: en.Task, base: en.Fits, effect: str, sizes: Mapping) ->
     c[:, index] = rows
     one = replace(one, c=c, gram=None, residual=None, damping=None)
     level = replace(one, own=np.zeros_like(one.own))
-    every = en.together(one, level) if task.mu_free else one
-    there = ensemble_refits.refitted(task, every, _ROUNDS)
+    every = en.join(one, level) if task.mu_free else one
+    there = ensemble_refits.refit(task, every, _ROUNDS)
     return float(np.min(en.criterion(task, there)) - en.criterion(task, base)[0])
 
 

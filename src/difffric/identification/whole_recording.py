@@ -9,7 +9,13 @@ from numpy.typing import NDArray
 
 from difffric.estimation import coordinates
 from difffric.estimation.coordinates import layout
-from difffric.estimation.mixed_fit import Model, descend, first_point, moved, unstuck
+from difffric.estimation.mixed_fit import (
+    Model,
+    descend,
+    first_point,
+    rescan_push_friction,
+    take_end,
+)
 from difffric.estimation.stacked_data import traces_data
 from difffric.measurements.reduction.reduce import Reduction
 from difffric.rig import parameters
@@ -25,7 +31,7 @@ _POOR = 2.0
 
 
 @dataclass(frozen=True)
-class TraceFriction:
+class RecordingFits:
     """What whole recordings say of mu_s, an entry a push."""
 
     mu_s: NDArray
@@ -37,9 +43,9 @@ class TraceFriction:
     reduced_chi2: NDArray
 
 
-def trace_friction(
+def fit_recordings(
     rigs_by_push: list[Rig], reduction: Reduction, guess: NDArray, integrator: Integrator
-) -> TraceFriction:
+) -> RecordingFits:
     """Fit log mu_s of every push to its samples, from `guess` (n,), NaN: the rig's own."""
     rig, recordings = rigs_by_push[0], reduction.recordings
     n, every = len(recordings), coordinates.names(rig)
@@ -60,13 +66,13 @@ def trace_friction(
         model = Model(spread, integrator, plan, _OPEN, False)
         at = at or first_point(model, data, np.zeros(0))
         end = descend(model, data, at, at.held, data.weights, _OPEN, 1e3)
-        at = replace(moved(at, end, at.held, _OPEN), weights=data.weights)
+        at = replace(take_end(at, end, at.held, _OPEN), weights=data.weights)
         samples = data.samples_of
         chi2 = np.sum((data.weights * np.asarray(end.rows)[:n, :, -1]) ** 2, axis=1) / samples
         if maskings == _MASKINGS:
             break
         if maskings == 1 and (chi2 > _POOR).any():
-            at = unstuck(model, data, at)
+            at = rescan_push_friction(model, data, at)
         jumps, maskings = np.asarray(end.jumps)[:n], maskings + 1
     rows = np.asarray(end.rows)[:n] * data.weights[..., None]
     J = rows[..., :-1]
@@ -75,7 +81,7 @@ def trace_friction(
     across = -np.einsum("nm,nmk->nk", J[..., 0], J) / np.where(seen, own, 1.0)[:, None]
     across[:, 0] = 0.0
     mu = np.exp(fixed[:, 0] + at.s_eta)
-    return TraceFriction(
+    return RecordingFits(
         mu_s=np.where(seen, mu, np.nan),
         own_variance=1.0 / np.where(seen, own, np.nan),
         by_coordinate=across,

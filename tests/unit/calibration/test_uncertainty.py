@@ -15,7 +15,7 @@ from difffric.calibration.identifiability import identifiable
 from difffric.calibration.optimal_push import next_push
 from difffric.calibration.profiles import profile
 from difffric.errors import InputError
-from difffric.estimation.open_parameters import undetermined
+from difffric.estimation.open_parameters import list_undetermined
 from difffric.measurements.recordings import Channel, Recording, Recordings
 from difffric.rig import parameters
 from difffric.rig.sensors import ForceSensor
@@ -266,8 +266,8 @@ def test_the_expected_standard_errors_are_those_of_the_fit(exact):
 def test_a_viscous_friction_that_may_be_zero_is_determined_where_it_is_bounded():
     names = ("k_v_N_s_per_m", "mu_s")
     quarter = np.array([0.5, 1.0])  # k_v: 5 N s/m, in coordinates
-    assert undetermined(names, names, np.diag([0.4**2, 0.01**2]), quarter) == []
-    (found,) = undetermined(names, names, np.diag([0.6**2, 0.01**2]), quarter)
+    assert list_undetermined(names, names, np.diag([0.4**2, 0.01**2]), quarter) == []
+    (found,) = list_undetermined(names, names, np.diag([0.6**2, 0.01**2]), quarter)
     assert found["parameters"] == ["k_v_N_s_per_m"]
     assert "flat" in found["reason"] and "6 N s/m" in found["reason"]
 
@@ -284,7 +284,7 @@ def test_open_directions_are_found_whatever_the_order(seed, open_, order):
     covariance = np.linalg.inv(information)
     labels = np.array(["k_N_per_m", "b_N_s_per_m", "mass_kg", "mu_s", "mu_k_over_mu_s"])
     order = np.array(order)
-    found = undetermined(labels[order], labels[order], covariance[np.ix_(order, order)], np.ones(5))
+    found = list_undetermined(labels[order], labels[order], covariance[np.ix_(order, order)], np.ones(5))
     expected = [{x} for x in labels[: open_ - 1]] + [{"mu_s", "mu_k_over_mu_s"}]
     assert sorted(map(sorted, groups(found))) == sorted(map(sorted, expected))
     for entry in found:
