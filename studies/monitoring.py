@@ -6,8 +6,8 @@ The tables are printed and set between two marks of the page. Three levels:
 
 - the statistic alone, on standard normal numbers: 1e6 pushes (`--pushes`);
 - the whole chain but for the simulator: `F_p` and `d` of 1e6 pushes by the library's own model,
-  noise and scatter added, read (`push_reading`), judged and charted as the monitor does, many
-  machines at once;
+  noise and scatter added, read (`monitoring.readings`), judged and charted as the monitor does,
+  many machines at once;
 - `Monitor` itself, fed one push after another, for the delays and for what changed.
 
 All that is random has a fixed seed.
@@ -25,7 +25,7 @@ from scipy.special import ndtri, stdtr
 
 import difffric as df
 from difffric.monitoring import shiryaev_roberts
-from difffric.monitoring.change_cause import CANDIDATES, verdict
+from difffric.monitoring.change_cause import CANDIDATES, conclude
 from difffric.monitoring.monitor import PRIOR, Monitor
 from difffric.monitoring.readings import Reader
 from difffric.rig import catalogue, parameters
@@ -72,11 +72,11 @@ def of_statistic(arl: float, pushes: int, seed: int = 1) -> tuple[float, int]:
     machines = 100
     rng, log_R = (
         np.random.default_rng(seed),
-        np.repeat(shiryaev_roberts.nothing()[None], 100, axis=0),
+        np.repeat(shiryaev_roberts.start()[None], 100, axis=0),
     )
     alarms, threshold = 0, shiryaev_roberts.log_threshold(arl)
     for _ in range(pushes // machines):
-        log_R = shiryaev_roberts.updated(log_R, rng.standard_normal((machines, 2)))
+        log_R = shiryaev_roberts.update(log_R, rng.standard_normal((machines, 2)))
         over = shiryaev_roberts.total(log_R) >= threshold
         alarms += int(over.sum())
         log_R[over] = -np.inf
@@ -124,10 +124,10 @@ def of_chain(arl: float, pushes: int, seed: int = 2) -> tuple[float, int, int]:
     y, c = read.log_mu_s.reshape(n, -1), read.contrast.reshape(n, -1)
     h = SCATTER**2 + read.error.reshape(n, -1) ** 2
     friction, contrast = _Judge(machines), _Judge(machines)
-    log_R, alarms = np.repeat(shiryaev_roberts.nothing()[None], machines, axis=0), 0
+    log_R, alarms = np.repeat(shiryaev_roberts.start()[None], machines, axis=0), 0
     for i in range(n):
         z = np.stack([friction(y[i], h[i], k[i]), contrast(c[i], np.ones(machines), k[i])], axis=1)
-        log_R = shiryaev_roberts.updated(log_R, z)
+        log_R = shiryaev_roberts.update(log_R, z)
         over = shiryaev_roberts.total(log_R) >= shiryaev_roberts.log_threshold(arl)
         alarms += int(over.sum())
         log_R[over] = -np.inf
@@ -162,7 +162,7 @@ def watched(seed: int, changes, drift: float = 0.0) -> tuple[float, str | None, 
     if not monitor.alarms:
         return np.inf, None, False
     first = monitor.alarms[0]
-    return first.push - BEFORE, verdict(first.causes(monitor.reader))[0], False
+    return first.push - BEFORE, conclude(first.causes(monitor.reader))[0], False
 
 
 def delays(count: int) -> list[tuple[str, ...]]:

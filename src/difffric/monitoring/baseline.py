@@ -1,10 +1,10 @@
 """A baseline that is learnt from the numbers that are judged by it, without harm to the judgement.
 
-Numbers y ~ N(mean, phi h) come in cells (a part at a speed), whose means and phi are not known,
-with known h. A phi for each, as a speed at which the model hardly determines mu_s scatters more,
-and is not to hide the others. The recursive residual of a number, against the mean of
-those before it in its cell, is normal and independent of all before; over the phi that those leave
-it is t-distributed; and so
+Numbers y ~ N(mean, phi h) come in cells (a part at a speed). Their h are known, each cell's mean
+and phi are not; each cell has a phi of its own, as a speed at which the model hardly determines
+mu_s scatters more, and is not to hide the others. The recursive residual of a number, against the
+mean of those before it in its cell, is normal and independent of all before; over the phi that
+those leave it is t-distributed; and so
 
     z = Phi^-1(T_nu(t))
 
@@ -15,6 +15,7 @@ is standard normal and independent from the second push of a cell on, whatever t
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 
 import scipy
@@ -24,35 +25,37 @@ from difffric.monitoring.shiryaev_roberts import FARTHEST
 
 @dataclass
 class Spread:
-    """What is known of phi: `prior` as much as so many numbers of variance `phi` h."""
+    """What is known of phi: the sum of squares of so many residuals."""
 
     squares: float = 0.0
     count: float = 0.0
 
     @classmethod
-    def known(cls, phi: float, prior: float) -> Spread:
-        return cls(prior * phi, prior)
+    def from_prior(cls, phi: float, count: float) -> Spread:
+        """Return what is known as if `count` numbers had been seen that spread by `phi`."""
+        return cls(count * phi, count)
 
     @property
     def phi(self) -> float | None:
-        """The estimate; None: there is none yet."""
+        """The estimate of phi; None: there is none yet."""
         return self.squares / self.count if self.count > 0 and self.squares > 0 else None
 
 
 @dataclass
 class Mean:
-    """The mean of a cell: sum of 1/h, and of y/h over it."""
+    """The mean of a cell's numbers, weighted by 1/h."""
 
     weight: float = 0.0
+    """sum of 1/h"""
     value: float = 0.0
 
     def add(self, y: float, h: float) -> None:
-        """With one number more."""
+        """Take a number into the mean."""
         self.weight += 1.0 / h
         self.value += (y - self.value) / h / self.weight
 
-    def without(self, numbers) -> Mean:
-        """As it was without these (y, h), which it has."""
+    def remove(self, numbers: Sequence[tuple[float, float]]) -> Mean:
+        """Return the mean as it was without some of its numbers (y, h)."""
         left = self.weight - sum(1.0 / h for _, h in numbers)
         if left < 1e-9 * self.weight:
             return Mean()
@@ -61,26 +64,26 @@ class Mean:
 
 
 @dataclass(frozen=True)
-class Judged:
-    """What a number was found to be."""
+class Judgement:
+    """What a number was found to be, against those before it."""
 
     z: float | None
-    """None: there was nothing yet to hold it against"""
+    """standard normal while nothing changes; None: there was nothing yet to hold it against"""
     squares: float = 0.0
-    """what it added to the spread"""
+    """what the number added to the spread"""
     taken: bool = True
-    """whether it went into its cell's mean"""
+    """whether the number went into its cell's mean"""
 
 
-def judged(y: float, h: float, mean: Mean, spread: Spread) -> Judged:
-    """Hold a number against those before, and add it to them.
+def judge_number(y: float, h: float, mean: Mean, spread: Spread) -> Judgement:
+    """Hold a number against those before it in its cell, and add it to them.
 
-    One that is further out than `evidence.FARTHEST` is kept out of the mean: a step is not to be
-    learnt before it is found.
+    A number further out than `shiryaev_roberts.FARTHEST` is kept out of the mean, as a step is not
+    to be learnt before it is found.
     """
     if mean.weight == 0:
         mean.add(y, h)
-        return Judged(None)
+        return Judgement(None)
     residual = (y - mean.value) / math.sqrt(h + 1.0 / mean.weight)
     phi, square, z = spread.phi, residual**2, None
     if phi is not None:
@@ -92,34 +95,37 @@ def judged(y: float, h: float, mean: Mean, spread: Spread) -> Judged:
         mean.add(y, h)
     spread.squares += square
     spread.count += 1
-    return Judged(z, square, near)
+    return Judgement(z, square, near)
 
 
 @dataclass
-class Cells:
-    """The means and spreads of all cells, for one channel."""
+class Baseline:
+    """The means and spreads of all cells, for one channel (friction or contrast)."""
 
     prior: Spread
+    """what is known of each cell's spread before its first push"""
     means: dict[str, Mean] = field(default_factory=dict)
     spreads: dict[str, Spread] = field(default_factory=dict)
 
-    def mean(self, cell: str) -> Mean:
+    def get_mean(self, cell: str) -> Mean:
+        """Return a cell's mean; a new cell gets an empty one."""
         return self.means.setdefault(cell, Mean())
 
-    def spread(self, cell: str) -> Spread:
+    def get_spread(self, cell: str) -> Spread:
+        """Return a cell's spread; a new cell gets the prior."""
         return self.spreads.setdefault(cell, Spread(self.prior.squares, self.prior.count))
 
-    def judge(self, y: float, h: float, cell: str) -> Judged:
-        """Hold a number of a cell against those before, and add it to them."""
-        return judged(y, h, self.mean(cell), self.spread(cell))
+    def judge(self, y: float, h: float, cell: str) -> Judgement:
+        """Hold a number of a cell against those before it, and add it to them."""
+        return judge_number(y, h, self.get_mean(cell), self.get_spread(cell))
 
     def as_dict(self) -> dict:
-        """As a state file holds it."""
+        """Return the baseline as a state file holds it."""
         return asdict(self)
 
     @classmethod
-    def read(cls, saved: dict) -> Cells:
-        """From what `as_dict` gave."""
+    def read(cls, saved: dict) -> Baseline:
+        """Return the baseline that `as_dict` gave."""
         return cls(
             Spread(**saved["prior"]),
             {k: Mean(**x) for k, x in saved["means"].items()},

@@ -1,4 +1,4 @@
-"""When a change came, and whether at once: the best step and the best ramp in judged numbers."""
+"""The change point: when numbers changed, and whether at once, by the best step and best ramp."""
 
 from __future__ import annotations
 
@@ -10,24 +10,29 @@ from numpy.typing import NDArray
 from difffric.monitoring.shiryaev_roberts import FARTHEST
 
 _APART = 4.0
-"""By so much must chi-square prefer the one to the other."""
+"""By so much must chi-square prefer step or ramp to the other before one of them is named: two
+standard deviations."""
 
 
 class Change(NamedTuple):
-    """Where the numbers change, as indices of the first that is changed."""
+    """Where numbers change, as indices of the first number that is changed."""
 
     step: int
+    """if the change is a step"""
     ramp: int
+    """if it is a ramp"""
     kind: str
     """`step`, `drift`, or `step or drift`"""
 
     @property
     def first(self) -> int:
+        """Index of the first number that is changed, by the likelier kind."""
         return self.ramp if self.kind == "drift" else self.step
 
 
-def change_point(z: NDArray) -> Change:
-    """The likeliest change in numbers (n, channels) that were standard normal before; NaN: none.
+def find_change(z: NDArray) -> Change:
+    """Find the likeliest change in numbers (n, channels) that were standard normal before it; NaN
+    stands for a number that is missing.
 
     Of a step the generalised likelihood ratio is (sum z)^2 / n, of a ramp a = 1, 2, ...
     (sum a z)^2 / sum a^2, over all that come after it (Siegmund & Venkatraman, Annals of

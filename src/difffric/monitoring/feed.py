@@ -1,5 +1,5 @@
-"""Measured pushes on their way to a monitor: from files in order, or from one that is being
-written; each once, whatever was counted before."""
+"""The feed of a monitor: measured pushes from files in order, or from one that is being written.
+Each push is counted once, whatever was counted before."""
 
 from __future__ import annotations
 
@@ -20,34 +20,36 @@ from difffric.measurements.files.tdms_reader import read_recordings
 from difffric.measurements.files.tdms_segments import read_contents
 from difffric.measurements.load_file import load
 from difffric.measurements.pushes import Pushes
-from difffric.measurements.recordings import Recordings
+from difffric.measurements.recordings import Recording, Recordings
 from difffric.monitoring.monitor import Monitor
-from difffric.monitoring.records import Seen, content_of, content_of_recording
+from difffric.monitoring.records import NUMBERS, PushRecord, digest_push, digest_recording
 from difffric.monitoring.state_file import load as load_state
 from difffric.monitoring.state_file import save
 from difffric.progress import Tell, silent
 from difffric.rig.setup import Setup
 
-_SAVED = 0.5  # [s] of pushes from a file that a kill may take, to be counted again
+_SAVED = 0.5  # [s] between saves: a kill takes what came since, and it is counted again
 _LOOK = 0.2  # [s] between looks at a file that grows
 _STILL = 2.0  # [s] without growth after which a group that does not say so is complete
 
 
 @dataclass
-class Source:
+class CountedFile:
     """A file whose pushes were counted."""
 
     name: str
     label: str
-    """its name, or one like it where another file has that too"""
+    """its name, or a name like it where another file has that too"""
     first: str
-    """the content of its first push"""
+    """digest of its first push"""
     count: int = 0
+    """pushes counted"""
     chain: str = ""
-    """of all contents counted"""
+    """digest of the digests of all pushes counted, in their order"""
 
     def add(self, content: str) -> None:
-        self.chain, self.count = linked(self.chain, content), self.count + 1
+        """Count a push of this digest."""
+        self.chain, self.count = chain_digest(self.chain, content), self.count + 1
 
 
 @dataclass(frozen=True)
@@ -55,19 +57,24 @@ class Item:
     """A push of a file."""
 
     content: str
+    """its digest"""
     order: float
     name: str
-    take: Callable[[Monitor, str], Seen]
-    """gives it to a monitor, as of a source"""
+    take: Callable[[Monitor, str], PushRecord]
+    """gives the push to a monitor, as of a source of this label"""
 
 
-def linked(chain: str, content: str) -> str:
-    """The chain with a content more."""
+def chain_digest(chain: str, content: str) -> str:
+    """Return the chain of digests with one digest more."""
     return hashlib.sha256(f"{chain}\0{content}".encode()).hexdigest()[:32]
 
 
 class Feed:
-    """A monitor, the files it has counted, and the state file that both are kept in."""
+    """A monitor, the files it has counted, and the state file that both are kept in.
+
+    `arl` is the monitor's, 1000 by default; a state that was begun goes on with its own. `on_push`
+    is called after each push. Raises `InputError` for a state that cannot be gone on from.
+    """
 
     def __init__(
         self,
@@ -75,13 +82,13 @@ class Feed:
         *,
         arl: float | None = None,
         state: Path | None = None,
-        on_push: Callable[[Seen], None] = lambda seen: None,
+        on_push: Callable[[PushRecord], None] = lambda seen: None,
     ):
         self.state, self.on_push, self.skipped = state, on_push, list[str]()
-        self.sources: list[Source] = []
+        self.sources: list[CountedFile] = []
         if state is not None and state.exists():
             self.monitor, sources = load_state(state, setup)
-            self.sources = [Source(**x) for x in sources]
+            self.sources = [CountedFile(**x) for x in sources]
             if arl is not None and arl != self.monitor.arl:
                 raise InputError(f"--arl: {state} was begun with {self.monitor.arl:g}, got {arl:g}")
         else:
@@ -102,21 +109,18 @@ class Feed:
         Raises `InputError` for files that cannot be used, for an `order` that goes back, and for
         a push that is there twice; nothing of any file is counted then.
         """
-        planned: list[tuple[Source, Item]] = []
+        planned: list[tuple[CountedFile, Item]] = []
         contents: set[str] = set()
         for path in paths:
             tell(f"reading {path.name}", 0.0)
-            data = load(path, skip_bad=skip_bad)
+            loaded: Any = load(path, skip_bad=skip_bad)  # one of two kinds, and stays so
             rig = self.monitor.setup.rig
             options = {"use_data_mass": use_data_mass, "skip_bad": skip_bad}
-            if isinstance(data, Recordings):
-                data = checked_data(data, rig, **options)
-            else:
-                data = checked_data(data, rig, **options)
+            data: Pushes | Recordings = checked_data(loaded, rig, **options)
             self.skipped += data.skipped
-            items = items_of(data)
-            source, new = self._unseen(path, items)
-            in_order(path, items)
+            items = list_items(data)
+            source, new = self._find_unseen(path, items)
+            check_order(path, items)
             for item in new:
                 if item.content in contents:
                     raise InputError(f"{path}: {item.name}: the same push twice{_ORDER}")
@@ -140,19 +144,19 @@ class Feed:
         tell: Tell = silent,
     ) -> None:
         """Take the pushes of a .tdms as they are written, until none came for `idle` [s], or for
-        ever; the state is saved after each."""
+        ever. The state is saved after each push."""
         source, done, heard = None, 0, time.monotonic()
         grown = Growth(path)
         while True:
             tell(f"waiting for push {self.monitor.count + 1}", 0.0)
             recordings = grown.complete()
             if source is None and recordings:
-                items = items_of(Recordings(tuple(recordings), str(path)))
-                source, new = self._unseen(path, items)
+                items = list_items(Recordings(tuple(recordings), str(path)))
+                source, new = self._find_unseen(path, items)
                 done = len(items) - len(new)
             for recording in recordings[done:]:
                 assert source is not None
-                item = items_of(Recordings((recording,), str(path)))[0]
+                item = list_items(Recordings((recording,), str(path)))[0]
                 self._take(source, item)
                 self.save()
                 done, heard = done + 1, time.monotonic()
@@ -165,23 +169,26 @@ class Feed:
         if self.state is not None:
             save(self.state, self.monitor, [asdict(x) for x in self.sources])
 
-    def _take(self, source: Source, item: Item) -> None:
+    def _take(self, source: CountedFile, item: Item) -> None:
         seen = item.take(self.monitor, source.label)
         source.add(item.content)
         if source not in self.sources:
             self.sources.append(source)
         self.on_push(seen)
 
-    def _unseen(self, path: Path, items: list[Item]) -> tuple[Source, list[Item]]:
-        """(the source that a file is, its items that are not counted yet)."""
+    def _find_unseen(self, path: Path, items: list[Item]) -> tuple[CountedFile, list[Item]]:
+        """Return the source that a file is, and its pushes that are not counted yet.
+
+        Raises `InputError` where the file's first pushes are not those that were counted.
+        """
         alike = [x for x in self.sources if x.name == path.name]
         known = [x for x in alike if x.first == items[0].content]
         if not known:
             label = path.name if not alike else f"{path.name} ({len(alike) + 1})"
-            return Source(path.name, label, items[0].content), items
+            return CountedFile(path.name, label, items[0].content), items
         source, chain = known[0], ""
         for item in items[: source.count]:
-            chain = linked(chain, item.content)
+            chain = chain_digest(chain, item.content)
         if len(items) < source.count or chain != source.chain:
             raise InputError(
                 f"{path}: its first {source.count} pushes are not those that were counted: "
@@ -194,8 +201,8 @@ class Feed:
 _ORDER = " (two pushes that read alike need an order each)"
 
 
-def in_order(path: Path, items: Sequence[Item]) -> None:
-    """Raises `InputError` where the order of a file's pushes goes back."""
+def check_order(path: Path, items: Sequence[Item]) -> None:
+    """Raise `InputError` where the order of a file's pushes goes back."""
     last = -np.inf
     for item in items:
         if item.order <= last:
@@ -206,35 +213,38 @@ def in_order(path: Path, items: Sequence[Item]) -> None:
         last = last if np.isnan(item.order) else item.order
 
 
-def items_of(data: Pushes | Recordings) -> list[Item]:
-    """The pushes of a file, one by one. Raises `InputError` for free slides."""
+def list_items(data: Pushes | Recordings) -> list[Item]:
+    """List the pushes of a file one by one. Raises `InputError` for free slides."""
     if isinstance(data, Recordings):
-        return [_recorded(r) for r in data]
+        return [_make_recording_item(r) for r in data]
     if data.free_slides:
         raise InputError(f"{data.source}: expected pushes, got free slides")
-    return [_row(data.select([i]), i) for i in range(len(data))]
+    return [_make_row_item(data.select([i]), i) for i in range(len(data))]
 
 
-def _recorded(recording) -> Item:
-    content = content_of_recording(recording)
+def _make_recording_item(recording: Recording) -> Item:
+    """Make the item of a recorded push."""
+    content = digest_recording(recording)
 
-    def take(monitor: Monitor, source: str) -> Seen:
+    def take(monitor: Monitor, source: str) -> PushRecord:
         return monitor.record(recording, source=source, content=content)
 
     return Item(content, recording.order, f"group {recording.name!r}", take)
 
 
-def _row(push: Pushes, i: int) -> Item:
-    content = content_of(push)
-    columns = ("velocity", "peak_force", "sliding_distance", "peak_force_se",
-               "sliding_distance_se", "mass", "stroke", "order")  # fmt: skip
-    said: dict[str, Any] = {name: float(getattr(push, name)[0]) for name in columns}
+def _make_row_item(push: Pushes, i: int) -> Item:
+    """Make the item of row i of a table; `push` has that row alone."""
+    content = digest_push(push)
+    said: dict[str, Any] = {name: float(getattr(push, name)[0]) for name in NUMBERS}
 
-    def take(monitor: Monitor, source: str) -> Seen:
+    def take(monitor: Monitor, source: str) -> PushRecord:
         return monitor.update(
-            **said, condition=push.condition[0], name=f"push {i + 1}", source=source,
+            **said,
+            condition=push.condition[0],
+            name=f"push {i + 1}",
+            source=source,
             content=content,
-        )  # fmt: skip
+        )
 
     return Item(content, said["order"], f"push {i + 1}", take)
 
@@ -246,10 +256,10 @@ class Growth:
         if path.suffix.lower() != ".tdms":
             raise InputError(f"{path}: --follow: expected a .tdms that is being written")
         self.path, self.size, self.since = path, -1, time.monotonic()
-        self._found: list = []
+        self._found: list[Recording] = []
         self._asked = (-1, False)
 
-    def complete(self) -> list:
+    def complete(self) -> list[Recording]:
         """The recordings that nothing will be added to, in their order."""
         try:
             size = os.path.getsize(self.path)
@@ -264,11 +274,12 @@ class Growth:
         with opened(self.path) as file:
             groups = read_contents(file, size).groups
         last = next(reversed(groups), None)
-        told = {name: group.properties.get("complete") for name, group in groups.items()}
+        complete = {name: group.properties.get("complete") for name, group in groups.items()}
         done = {
-            name for name, said in told.items()
+            name
+            for name, said in complete.items()
             if said is True or (said is None and (name != last or still))
-        }  # fmt: skip
+        }
         try:
             found = read_recordings(self.path, skip_bad=True)
         except InputError:  # nothing whole is in it yet

@@ -1,5 +1,5 @@
-"""The frictional state of a part: a level that wanders slowly, seen at speeds that differ by a
-little, as the model is a little wrong.
+"""The frictional state of a part: a level of mu_s that wanders slowly. It is seen at several
+speeds, which differ by a little, as the model is a little wrong.
 
 The local level model (Harvey, Forecasting, Structural Time Series Models and the Kalman Filter,
 1989, chapter 4.1) with an offset for each speed but the first:
@@ -14,22 +14,25 @@ from dataclasses import dataclass, field
 import numpy as np
 
 OFFSET = 0.1
-"""Standard deviation of an offset before anything is known of it, relative to mu_s."""
+"""Standard deviation of a speed's offset before anything is known of it, relative to mu_s."""
 WANDER = 0.1
-"""That of w, in those of the scatter: the level follows about ten pushes."""
-_FARTHEST = 4.0  # a number further out counts as this, so that one wild push does not take it along
+"""Standard deviation of w over that of the scatter: the level then follows about ten pushes."""
+_FARTHEST = 4.0  # standard deviations; a number further out counts as this, as it may be wild
 
 
 @dataclass
 class Level:
-    """x and the offsets of the speeds `cells[1:]`, of log mu_s."""
+    """The state of Kalman's filter: the level x of log mu_s and the offsets of the speeds."""
 
     cells: list[str] = field(default_factory=list)
+    """the part's speeds; the first has no offset"""
     mean: list[float] = field(default_factory=list)
+    """x, then the offsets of the speeds `cells[1:]`"""
     covariance: list[list[float]] = field(default_factory=list)
+    """of `mean`"""
 
     def see(self, cell: str, y: float, r: float, q: float) -> None:
-        """After one number y of variance r at a speed; w has the variance q."""
+        """Take in one number y of variance r at a speed; w has the variance q."""
         if not self.cells:
             self.cells, self.mean, self.covariance = [cell], [y], [[r]]
             return
@@ -52,7 +55,7 @@ class Level:
         self.mean, self.covariance = m.tolist(), (0.5 * (P + P.T)).tolist()
 
     def forget(self) -> None:
-        """The level has changed, by nobody knows how much; the offsets stay."""
+        """Forget the level, as it has changed by nobody knows how much; the offsets stay."""
         if self.cells:
             n = len(self.cells)
             P = np.array(self.covariance)

@@ -1,4 +1,4 @@
-"""Watch a machine push by push: its friction, and evidence that something has changed."""
+"""The monitor: it follows a machine push by push, its friction and the evidence of a change."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from difffric.errors import DifffricError, InputError
 from difffric.measurements.checks import checked_data
@@ -14,37 +15,38 @@ from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recording, Recordings
 from difffric.measurements.reduction.reduce import reduce_recordings
 from difffric.monitoring import shiryaev_roberts
-from difffric.monitoring.baseline import Cells, Mean, Spread
-from difffric.monitoring.change_point import change_point
+from difffric.monitoring.alarms import Alarm, date_change, make_after, make_alarm, remove_pushes
+from difffric.monitoring.baseline import Baseline, Spread
 from difffric.monitoring.local_level import WANDER, Level
 from difffric.monitoring.readings import Reader
-from difffric.monitoring.records import Alarm, Cell, Seen, content_of, content_of_recording
+from difffric.monitoring.records import Cell, PushRecord, digest_push, digest_recording
 from difffric.rig.rig import Rig
 from difffric.rig.setup import Setup, check_rig
 
 SCATTER = 0.015
-"""Of mu_s, where the set-up says none: a scale only, as the spread is then learnt."""
+"""Relative scatter of mu_s where the set-up says none: a scale only, as the spread is learnt."""
 PRIOR = 3.0
 """Pushes that the set-up's scatter and noise count for, beside those that come."""
 KEPT = 500
-"""Pushes that are remembered one by one."""
+"""Pushes that are remembered one by one, for the charts and for the change after an alarm."""
 WATCHED = 20
 """Pushes after an alarm that still help to say what it was."""
 LEAST_ARL = 20.0
-_SAME_SPEED, _SAME_MASS = 0.025, 0.01  # relative
-_REMEMBERED = 2000  # contents of pushes, so that none is counted twice
+"""Least average run length [pushes]: a false alarm more often than that is of no use."""
+_SAME_SPEED, _SAME_MASS = 0.025, 0.01  # relative differences that do not make another cell or part
+_REMEMBERED = 2000  # digests of pushes, so that none is counted twice
 
 
 class Monitor:
     """Follows the friction of a machine over its pushes, in their order, and raises alarms.
 
     `update` takes one push, from a table, a stream or the loop of `acquire`, and returns what it
-    thinks of it. Each push gives its mu_s and a contrast that mu_s cannot explain
-    (`push_reading`). Both are held against the mean of the pushes before of the same part (its
-    condition and mass), speed and stroke, so that neither a new part nor a new speed is an alarm
-    even where the model is a little wrong; the first push of each is the first of a mean. The
-    evidence over all of them (`evidence`) reaches its threshold once in `arl` pushes, in the mean,
-    while nothing changes. After an alarm the means begin anew from the estimated change on.
+    makes of it. Each push gives its mu_s and a contrast that mu_s cannot explain (`readings`). Both
+    are held against the mean of the pushes before of the same part (its condition and mass), speed
+    and stroke (`baseline`), so that neither a new part nor a new speed is an alarm even where the
+    model is a little wrong; the first push of each is the first of a mean. The evidence over all of
+    them (`shiryaev_roberts`) reaches its threshold once in `arl` pushes, in the mean, while nothing
+    changes. After an alarm (`alarms`) the means begin anew from the estimated change on.
 
     `as_dict` has all that it knows, as JSON can hold it, and `Monitor.read` goes on from there as
     if nothing had been between, to the last bit.
@@ -65,13 +67,15 @@ class Monitor:
         self.count = 0
         self.cells: dict[str, Cell] = {}
         self.parts: dict[str, list[Any]] = {}
-        self.friction = Cells(Spread.known(1.0, PRIOR if known else 0.0))
-        self.contrast = Cells(Spread.known(1.0, PRIOR if all(self.reader.noise_known) else 0.0))
+        self.friction = Baseline(Spread.from_prior(1.0, PRIOR if known else 0.0))
+        self.contrast = Baseline(
+            Spread.from_prior(1.0, PRIOR if all(self.reader.noise_known) else 0.0)
+        )
         self.levels: dict[str, Level] = {}
-        self.log_R = shiryaev_roberts.nothing()
+        self.log_R = shiryaev_roberts.start()
         self.begun = 1
         """number of the first push that counts towards the next alarm"""
-        self.kept: list[Seen] = []
+        self.kept: list[PushRecord] = []
         self.alarms: list[Alarm] = []
         self.orders: dict[str, float] = {}
         self.contents: list[str] = []
@@ -94,7 +98,7 @@ class Monitor:
         source: str = "",
         content: str | None = None,
         reason: str | None = None,
-    ) -> Seen:
+    ) -> PushRecord:
         """Take one push, SI units; NaN: not measured or not said.
 
         `order` must grow within a `source`. `content` identifies the push, by default all that is
@@ -103,36 +107,36 @@ class Monitor:
         Raises `InputError` for a push that was counted before, an order that goes back, and
         numbers out of range; the monitor is then as it was.
         """
-        numbers = {
-            "velocity": velocity, "peak_force": peak_force, "sliding_distance": sliding_distance,
-            "peak_force_se": peak_force_se, "sliding_distance_se": sliding_distance_se,
-            "mass": mass, "stroke": stroke, "order": order,
-        }  # fmt: skip
-        columns: dict[str, Any] = {name: np.array([x], float) for name, x in numbers.items()}
-        push = Pushes(**columns, condition=[condition])
-        content = content or content_of(push)
-        self.check(source, name, content, order)
-        self.contents = [*self.contents, content][-_REMEMBERED:]
-        if not math.isnan(order):
-            self.orders[source] = float(order)
-        self.count += 1
-        seen = Seen(
-            self.count, source, name, float(velocity), condition, _or_none(mass),
-            _or_none(stroke), _or_none(order), _or_none(peak_force), _or_none(sliding_distance),
-            reason,
-        )  # fmt: skip
+        push = Pushes(
+            velocity=_column(velocity),
+            peak_force=_column(peak_force),
+            sliding_distance=_column(sliding_distance),
+            peak_force_se=_column(peak_force_se),
+            sliding_distance_se=_column(sliding_distance_se),
+            mass=_column(mass),
+            stroke=_column(stroke),
+            order=_column(order),
+            condition=[condition],
+        )
+        seen = self._count(push, source, name, content or digest_push(push))
+        seen.reason = reason
         if reason is None:
             self._take(seen, push)
         self.kept = [*self.kept, seen][-KEPT:]
         if seen.log_evidence is not None and seen.log_evidence >= 0:
             seen.alarm = True
-            self._alarm(seen)
+            self._raise_alarm(seen)
         return seen
 
-    def record(self, recording: Recording, *, source: str = "", content: str | None = None) -> Seen:
-        """Take one recorded push: reduced by itself, its noise its own. It can be called where
-        `acquire` calls `on_push`. What cannot be reduced is counted, with the reason."""
-        content = content or content_of_recording(recording)
+    def record(
+        self, recording: Recording, *, source: str = "", content: str | None = None
+    ) -> PushRecord:
+        """Take one recorded push, which is reduced by itself, with its own noise.
+
+        It can be called where `acquire` calls `on_push`. A push that cannot be reduced is counted,
+        with the reason. Raises `InputError` as `update` does.
+        """
+        content = content or digest_recording(recording)
         said: dict[str, Any] = {
             "mass": recording.mass, "stroke": recording.stroke, "condition": recording.condition,
             "order": recording.order, "name": recording.name, "source": source,
@@ -154,7 +158,8 @@ class Monitor:
         )
 
     def check(self, source: str, name: str, content: str, order: float) -> None:
-        """Raises `InputError` where a push may not come next."""
+        """Raise `InputError` where a push may not come next: it was counted already, by its digest
+        `content`, or its order in its `source` goes back."""
         where = ": ".join(filter(None, [source, name])) or f"push {self.count + 1}"
         if content in self.contents:
             back = len(self.contents) - self.contents.index(content) - 1
@@ -166,8 +171,30 @@ class Monitor:
         if last is not None and order <= last:
             raise InputError(f"{where}: its order is {order:g} after {last:g}: expected it to grow")
 
-    def _take(self, seen: Seen, push: Pushes) -> None:
-        level = self.levels.get(self._part(seen))
+    def _count(self, push: Pushes, source: str, name: str, content: str) -> PushRecord:
+        """Count a push, after `check`, and return its record."""
+        order = float(push.order[0])
+        self.check(source, name, content, order)
+        self.contents = [*self.contents, content][-_REMEMBERED:]
+        if not math.isnan(order):
+            self.orders[source] = order
+        self.count += 1
+        return PushRecord(
+            number=self.count,
+            source=source,
+            name=name,
+            velocity=float(push.velocity[0]),
+            condition=push.condition[0],
+            mass=_or_none(push.mass[0]),
+            stroke=_or_none(push.stroke[0]),
+            order=_or_none(order),
+            peak_force=_or_none(push.peak_force[0]),
+            sliding_distance=_or_none(push.sliding_distance[0]),
+        )
+
+    def _take(self, seen: PushRecord, push: Pushes) -> None:
+        """Read a push, hold it against those before, and add it to them."""
+        level = self.levels.get(self._find_part(seen))
         reading = self.reader.read(push, level and level.log_mu_s[0])
         if reading.reason[0] is not None:
             seen.reason = reading.reason[0]
@@ -178,12 +205,12 @@ class Monitor:
         seen.log_mu_s, seen.mu_s = y, math.exp(y)
         seen.standard_error, seen.contrast = math.exp(y) * error, _or_none(c)
         seen.h = self.scatter**2 + error**2
-        seen.cell = self._cell(seen, [_or_none(s) for s in reading.sigma[0].tolist()])
+        seen.cell = self._find_cell(seen, [_or_none(s) for s in reading.sigma[0].tolist()])
         z = self._judge(seen)
         if any(x is not None for x in z):
             self.judged += 1
             numbers = np.array([np.nan if x is None else x for x in z])
-            self.log_R = shiryaev_roberts.updated(self.log_R, numbers)
+            self.log_R = shiryaev_roberts.update(self.log_R, numbers)
         seen.z = z
         share = float(shiryaev_roberts.total(self.log_R)) - self.log_threshold
         seen.log_evidence = share if math.isfinite(share) else None
@@ -191,10 +218,10 @@ class Monitor:
         seen.log_evidence_by = [x if math.isfinite(x) else None for x in parts]
         self._follow(seen)
         if self.alarms and seen.number <= self.alarms[-1].push + WATCHED:
-            self.alarms[-1].after.append(_after(seen))
+            self.alarms[-1].after.append(make_after(seen))
 
-    def _judge(self, seen: Seen) -> list[float | None]:
-        """Both numbers of a push against those before, and into their means."""
+    def _judge(self, seen: PushRecord) -> list[float | None]:
+        """Hold both numbers of a push against those before, and add them to their means."""
         cell = str(seen.cell)
         z = []
         for j, (channel, y, h) in enumerate(
@@ -208,20 +235,20 @@ class Monitor:
             z.append(found.z)
         return z
 
-    def _follow(self, seen: Seen) -> None:
-        """The part's level after a push."""
+    def _follow(self, seen: PushRecord) -> None:
+        """Bring the level of the push's part up to date."""
         cell = self.cells[str(seen.cell)]
         level = self.levels.setdefault(cell.part, Level())
-        phi = self.friction.spread(str(seen.cell)).phi or 1.0
+        phi = self.friction.get_spread(str(seen.cell)).phi or 1.0
         assert seen.log_mu_s is not None and seen.h is not None
         level.see(str(seen.cell), seen.log_mu_s, phi * seen.h, (WANDER * self.scatter) ** 2)
         x, error = level.log_mu_s
         seen.state, seen.state_se = math.exp(x), math.exp(x) * error
 
-    def _cell(self, seen: Seen, sigma: list[float | None]) -> str:
-        """The cell of a push, a new one where there is none."""
+    def _find_cell(self, seen: PushRecord, sigma: list[float | None]) -> str:
+        """Return the key of a push's cell; where there is none, make it."""
         measured = "both" if None not in sigma else "force" if sigma[1] is None else "distance"
-        part = self._part(seen)
+        part = self._find_part(seen)
         for key, cell in self.cells.items():
             if (
                 (cell.part, cell.measured) == (part, measured)
@@ -234,7 +261,8 @@ class Monitor:
         self.cells[key] = Cell(part, seen.velocity, seen.mass, seen.stroke, measured, sigma)
         return key
 
-    def _part(self, seen: Seen) -> str:
+    def _find_part(self, seen: PushRecord) -> str:
+        """Return the key of a push's part; where there is none, make it."""
         for key, (condition, mass) in self.parts.items():
             if condition == seen.condition and _near(mass, seen.mass, _SAME_MASS):
                 return key
@@ -242,36 +270,15 @@ class Monitor:
         self.parts[key] = [seen.condition, seen.mass]
         return key
 
-    def _alarm(self, seen: Seen) -> None:
-        """Tell when what changed, and begin anew from there."""
+    def _raise_alarm(self, seen: PushRecord) -> None:
+        """Raise the alarm of a push, and let the baselines begin anew from the estimated change."""
         since = [x for x in self.kept if x.number >= self.begun and x.cell is not None]
-        z = np.array([[np.nan if v is None else v for v in x.z] for x in since])
-        change = change_point(z)
+        change = date_change(since)
         after = since[change.step :]
-        before = (_without(self.friction, after, 0), _without(self.contrast, after, 1))
-        settings = {}
-        for key, cell in self.cells.items():
-            means = [channel.mean(key) for channel in before]
-            if means[0].weight == 0:
-                continue
-            phis = [channel.spread(key).phi or 1.0 for channel in before]
-            settings[key] = [
-                cell.velocity, cell.mass, cell.stroke, list(cell.sigma),
-                means[0].value, means[1].value if means[1].weight else None,
-                [s / m.weight if m.weight else None for s, m in zip(phis, means, strict=True)],
-                phis,
-                [channel.spread(key).count for channel in before],
-            ]  # fmt: skip
-        parts = np.array([-np.inf if x is None else x for x in seen.log_evidence_by])
-        self.alarms.append(
-            Alarm(
-                seen.number, since[change.first].number, change.kind,
-                shiryaev_roberts.DIRECTIONS[int(np.argmax(parts))], settings,
-                [_after(x) for x in after],
-            )
-        )  # fmt: skip
-        self.friction, self.contrast = (Cells(x.prior, {}, x.spreads) for x in before)
-        self.log_R, self.begun = shiryaev_roberts.nothing(), seen.number + 1
+        before = remove_pushes(self.friction, after, 0), remove_pushes(self.contrast, after, 1)
+        self.alarms.append(make_alarm(seen, since, change, self.cells, before))
+        self.friction, self.contrast = (Baseline(x.prior, {}, x.spreads) for x in before)
+        self.log_R, self.begun = shiryaev_roberts.start(), seen.number + 1
         for level in self.levels.values():
             level.forget()
         for x in after:
@@ -279,7 +286,7 @@ class Monitor:
             self._follow(x)
 
     def as_dict(self) -> dict:
-        """All that the monitor knows, but for its set-up."""
+        """Return all that the monitor knows but its set-up, as JSON can hold it."""
         return {
             "arl": self.arl,
             "count": self.count,
@@ -294,49 +301,40 @@ class Monitor:
             "log_R": [[x if math.isfinite(x) else None for x in r] for r in self.log_R.tolist()],
             "orders": self.orders,
             "contents": self.contents,
-            "alarms": [asdict(x) for x in self.alarms],
+            "alarms": [x.as_dict() for x in self.alarms],
             "kept": [asdict(x) for x in self.kept],
         }
 
     @classmethod
     def read(cls, setup: Setup | Rig, saved: dict) -> Monitor:
-        """A monitor that goes on from what `as_dict` gave, for the same set-up."""
+        """Return a monitor that goes on from what `as_dict` gave, for the same set-up."""
         new = cls(setup, arl=saved["arl"])
         for name in ("count", "identified", "judged", "begun", "parts", "orders", "contents"):
             setattr(new, name, saved[name])
         new.cells = {k: Cell(**x) for k, x in saved["cells"].items()}
-        new.friction, new.contrast = Cells.read(saved["friction"]), Cells.read(saved["contrast"])
+        new.friction, new.contrast = (
+            Baseline.read(saved["friction"]),
+            Baseline.read(saved["contrast"]),
+        )
         new.levels = {k: Level(**x) for k, x in saved["levels"].items()}
         new.log_R = np.array([[-np.inf if x is None else x for x in r] for r in saved["log_R"]])
-        new.alarms = [Alarm(**x) for x in saved["alarms"]]
-        new.kept = [Seen(**x) for x in saved["kept"]]
+        new.alarms = [Alarm.read(x) for x in saved["alarms"]]
+        new.kept = [PushRecord(**x) for x in saved["kept"]]
         return new
 
 
-def _without(channel: Cells, after: list[Seen], j: int) -> Cells:
-    """A channel as it was without some pushes."""
-    means, spreads = dict(channel.means), {k: replace(x) for k, x in channel.spreads.items()}
-    for key in dict.fromkeys(str(x.cell) for x in after):
-        mine = [x for x in after if x.cell == key and x.taken[j]]
-        numbers = [(x.log_mu_s, x.h) if j == 0 else (x.contrast, 1.0) for x in mine]
-        means[key] = channel.mean(key).without(numbers)
-    for x in after:
-        if x.squares[j]:
-            spread = spreads[str(x.cell)]
-            spread.squares -= x.squares[j]
-            spread.count -= 1
-    return Cells(channel.prior, {k: Mean(m.weight, m.value) for k, m in means.items()}, spreads)
-
-
-def _after(seen: Seen) -> list[Any]:
-    return [seen.cell, seen.log_mu_s, seen.h, seen.contrast]
-
-
 def _near(a: float | None, b: float | None, share: float) -> bool:
+    """Whether two numbers differ by no more than a share of the first; two missing ones do not."""
     if a is None or b is None:
         return a is b
     return abs(a - b) <= share * a
 
 
+def _column(x: float) -> NDArray:
+    """A column of one row."""
+    return np.array([x], float)
+
+
 def _or_none(x: float) -> float | None:
+    """A number, None in place of NaN and infinity."""
     return float(x) if math.isfinite(x) else None

@@ -1,4 +1,4 @@
-"""Evidence for a change in standard normal numbers: a mixture of Shiryaev-Roberts statistics, and
+"""Evidence that standard normal numbers have changed: a mixture of Shiryaev-Roberts statistics, and
 the threshold that gives it a stated average run length.
 
 For each direction and size delta in which a mean may change, in standard deviations,
@@ -6,7 +6,7 @@ For each direction and size delta in which a mean may change, in standard deviat
     R_n = (1 + R_(n-1)) exp(delta z_n - delta^2 / 2),   R_0 = 0,
 
 which is the likelihood ratio of a change by delta against none, summed over all times at which it
-may have come. The statistic is the mean of them. As long as nothing has changed its expectation
+may have come. The statistic is the mean of all R_n. As long as nothing has changed its expectation
 grows by one a push, whatever the directions have in common, so that the mean number of pushes
 between false alarms is never below the threshold (Pollak, Annals of Statistics 13, 1985). By how
 much it is above follows from the overshoot (Siegmund, Sequential Analysis, 1985, chapter VIII).
@@ -21,35 +21,39 @@ from numpy.typing import NDArray
 SIZES = (0.5, 1.0, 2.0)
 """Changes of the mean that are looked for [standard deviations]: drifts to large steps."""
 CHANNELS = ("friction", "contrast")
+"""The two numbers of a push, each held against those before."""
 DIRECTIONS = ("friction up", "friction down", "contrast up", "contrast down")
 FARTHEST = 4.0
-"""A number further out counts as this: one wild push alone is no alarm, two are."""
+"""Standard deviations; a number further out counts as this. So one wild push alone is no alarm, but
+two are."""
 
 _SIGN = np.array([1.0, -1.0, 1.0, -1.0])
 _DELTA = _SIGN[:, None] * np.array(SIZES)
 _CHANNEL = np.array([0, 0, 1, 1])
 
 
-def nothing() -> NDArray:
-    """(directions, sizes) logarithms of R before the first push."""
+def start() -> NDArray:
+    """Return the logarithms of R (directions, sizes) before the first push."""
     return np.full(_DELTA.shape, -np.inf)
 
 
-def updated(log_R: NDArray, z: NDArray) -> NDArray:
-    """The logarithms (..., directions, sizes) after a push's numbers z (..., channels); NaN: the
-    push says nothing of that channel."""
+def update(log_R: NDArray, z: NDArray) -> NDArray:
+    """Return the logarithms of R (..., directions, sizes) after a push's numbers z (..., channels).
+
+    NaN in z: the push says nothing of that channel.
+    """
     own = np.clip(z, -FARTHEST, FARTHEST)[..., _CHANNEL, None]
     new = np.logaddexp(0.0, log_R) + _DELTA * own - 0.5 * _DELTA**2
     return np.where(np.isnan(own), log_R, new)
 
 
 def by_direction(log_R: NDArray) -> NDArray:
-    """(..., directions) logarithms of each direction's share of the statistic."""
+    """The logarithm of each direction's share of the statistic (..., directions), from log R."""
     return scipy.special.logsumexp(log_R, axis=-1) - np.log(_DELTA.size)
 
 
 def total(log_R: NDArray) -> NDArray:
-    """(...) logarithm of the statistic."""
+    """The logarithm of the statistic (...), from those of R (..., directions, sizes)."""
     return scipy.special.logsumexp(log_R, axis=(-2, -1)) - np.log(_DELTA.size)
 
 

@@ -1,4 +1,5 @@
-"""The monitor's state file: whole or not at all, of one set-up, and known to be undamaged."""
+"""A monitor's state file, which is whole or not there, belongs to one set-up, and is known to be
+undamaged by a digest of its content."""
 
 from __future__ import annotations
 
@@ -18,11 +19,15 @@ from difffric.monitoring.monitor import Monitor
 from difffric.rig.setup import Setup
 
 VERSION = 1
+"""Version of the file's layout; a file of another one is not read."""
 
 
 def save(path: str | os.PathLike, monitor: Monitor, sources: list[dict]) -> None:
-    """Write all that a monitor knows. After a kill or a power cut the file is the old or the new
-    one. Raises `InputError` where it cannot be written."""
+    """Write all that a monitor knows, and the files that were counted (`sources`).
+
+    After a kill or a power cut the file is the old or the new one. Raises `InputError` where it
+    cannot be written.
+    """
     body = {"sources": sources, "monitor": monitor.as_dict()}
     text = json.dumps(body, allow_nan=False)
     head = {
@@ -41,7 +46,7 @@ def save(path: str | os.PathLike, monitor: Monitor, sources: list[dict]) -> None
 
 
 def load(path: str | os.PathLike, setup: Setup) -> tuple[Monitor, list[dict]]:
-    """(a monitor that goes on where the file's stopped, the sources it has counted).
+    """Read a state: return a monitor that goes on where the file's stopped, and the files counted.
 
     Raises `InputError` for a file that cannot be read, is damaged, of another version, or of
     another set-up; the file is left as it is.
@@ -70,13 +75,13 @@ def load(path: str | os.PathLike, setup: Setup) -> tuple[Monitor, list[dict]]:
 
 
 def fingerprint(setup: Setup) -> str:
-    """What identifies the numbers of a set-up, to the last digit."""
+    """Digest of a set-up's numbers, to the last digit."""
     said = [_canonical(setup.rig), setup.mu_s_scatter]
     return _digest(json.dumps(said))
 
 
 def _canonical(x) -> Any:
-    """A law as its name and its numbers."""
+    """Return a law as its name and its numbers, laws within it likewise."""
     if dataclasses.is_dataclass(x):
         fields = [[f.name, _canonical(getattr(x, f.name))] for f in dataclasses.fields(x)]
         return [type(x).__name__, fields]
@@ -90,7 +95,7 @@ def _digest(text: str) -> str:
 
 
 def _keep_name(folder: Path) -> None:
-    """Have the folder's entries on disk too, where the system can."""
+    """Have the folder's entries, and so the file's name, on disk too, where the system can."""
     if not hasattr(os, "O_DIRECTORY"):
         return
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)

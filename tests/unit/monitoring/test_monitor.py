@@ -16,9 +16,9 @@ from scipy import stats
 import difffric as df
 from difffric.errors import InputError
 from difffric.monitoring import shiryaev_roberts
-from difffric.monitoring.baseline import Cells, Spread
-from difffric.monitoring.change_cause import verdict
-from difffric.monitoring.change_point import change_point
+from difffric.monitoring.baseline import Baseline, Spread
+from difffric.monitoring.change_cause import conclude
+from difffric.monitoring.change_point import find_change
 from difffric.monitoring.local_level import Level
 from difffric.monitoring.monitor import Monitor
 from difffric.monitoring.readings import Reader
@@ -59,10 +59,10 @@ def fed(monitor: Monitor, columns: dict, first: int = 0, last: int | None = None
 
 def run_lengths(arl, shift, n=400, steps=600, seed=0):
     """Pushes to the first alarm after a shift of z, (n,); those without any are left out."""
-    rng, log_R = np.random.default_rng(seed), np.repeat(shiryaev_roberts.nothing()[None], n, axis=0)
+    rng, log_R = np.random.default_rng(seed), np.repeat(shiryaev_roberts.start()[None], n, axis=0)
     found = np.full(n, np.nan)
     for i in range(1, steps + 1):
-        log_R = shiryaev_roberts.updated(log_R, rng.standard_normal((n, 2)) + np.array(shift))
+        log_R = shiryaev_roberts.update(log_R, rng.standard_normal((n, 2)) + np.array(shift))
         new = np.isnan(found) & (
             shiryaev_roberts.total(log_R) >= shiryaev_roberts.log_threshold(arl)
         )
@@ -76,9 +76,9 @@ def run_lengths(arl, shift, n=400, steps=600, seed=0):
 @pytest.mark.parametrize("arl", [50.0, 200.0])
 def test_false_alarms_come_as_seldom_as_stated(arl):
     rng, n = np.random.default_rng(3), 500
-    log_R, alarms, steps = np.repeat(shiryaev_roberts.nothing()[None], n, axis=0), 0, round(8 * arl)
+    log_R, alarms, steps = np.repeat(shiryaev_roberts.start()[None], n, axis=0), 0, round(8 * arl)
     for _ in range(steps):
-        log_R = shiryaev_roberts.updated(log_R, rng.standard_normal((n, 2)))
+        log_R = shiryaev_roberts.update(log_R, rng.standard_normal((n, 2)))
         over = shiryaev_roberts.total(log_R) >= shiryaev_roberts.log_threshold(arl)
         alarms += over.sum()
         log_R[over] = -np.inf
@@ -89,9 +89,9 @@ def test_false_alarms_come_as_seldom_as_stated(arl):
 def test_the_statistic_grows_by_one_a_push_in_expectation():
     """What the bound on the run length rests on: R_n - n is a martingale."""
     rng, n = np.random.default_rng(4), 200_000
-    log_R = np.repeat(shiryaev_roberts.nothing()[None], n, axis=0)
+    log_R = np.repeat(shiryaev_roberts.start()[None], n, axis=0)
     for i in range(1, 4):
-        log_R = shiryaev_roberts.updated(log_R, rng.standard_normal((n, 2)))
+        log_R = shiryaev_roberts.update(log_R, rng.standard_normal((n, 2)))
         R = np.exp(shiryaev_roberts.total(log_R))
         assert abs(R.mean() - i) < 5 * R.std() / np.sqrt(n)
 
@@ -115,10 +115,10 @@ def test_both_signs_and_both_channels_are_watched():
 
 
 def test_one_wild_push_alone_is_no_alarm():
-    log_R = shiryaev_roberts.nothing()
-    log_R = shiryaev_roberts.updated(log_R, np.array([1e3, 0.0]))
+    log_R = shiryaev_roberts.start()
+    log_R = shiryaev_roberts.update(log_R, np.array([1e3, 0.0]))
     assert shiryaev_roberts.total(log_R) < shiryaev_roberts.log_threshold(1000)
-    log_R = shiryaev_roberts.updated(log_R, np.array([1e3, 0.0]))
+    log_R = shiryaev_roberts.update(log_R, np.array([1e3, 0.0]))
     assert shiryaev_roberts.total(log_R) >= shiryaev_roberts.log_threshold(1000)
 
 
@@ -127,7 +127,7 @@ def test_judged_numbers_are_standard_normal_and_independent(prior):
     """Self-starting, from the second of each cell on, whatever the means are."""
     rng, z, after = np.random.default_rng(6), [], []
     for _ in range(400):
-        cells, previous = Cells(Spread.known(1.0, prior)), None
+        cells, previous = Baseline(Spread.from_prior(1.0, prior)), None
         means = rng.uniform(-50, 50, 3)
         for i in range(30):
             k = i % 3
@@ -147,11 +147,11 @@ def test_judged_numbers_are_standard_normal_and_independent(prior):
 
 def test_a_mean_without_some_numbers_is_that_of_the_others():
     rng = np.random.default_rng(7)
-    cells = Cells(Spread.known(1.0, 3.0))
+    cells = Baseline(Spread.from_prior(1.0, 3.0))
     y, h = 5 + rng.standard_normal(12), rng.uniform(0.5, 2, 12)
     for a, b in zip(y, h, strict=True):
         cells.judge(a, b, "a")
-    left = cells.mean("a").without(list(zip(y[7:], h[7:], strict=True)))
+    left = cells.get_mean("a").remove(list(zip(y[7:], h[7:], strict=True)))
     assert left.value == pytest.approx(np.average(y[:7], weights=1 / h[:7]))
     assert left.weight == pytest.approx((1 / h[:7]).sum())
 
@@ -160,11 +160,11 @@ def test_the_change_point_is_where_the_change_is():
     rng = np.random.default_rng(8)
     z = rng.standard_normal((60, 2))
     z[40:, 0] += 4
-    found = change_point(z)
+    found = find_change(z)
     assert found.kind == "step" and abs(found.step - 40) <= 1
     z = rng.standard_normal((60, 2))
     z[20:, 1] += 0.15 * np.arange(40)
-    found = change_point(z)
+    found = find_change(z)
     assert found.kind == "drift" and abs(found.ramp - 20) <= 10
 
 
@@ -226,7 +226,7 @@ def test_a_step_of_friction_is_found_named_and_measured(seed):
     assert 61 <= first.push <= 70 and abs(first.change - 61) <= 3
     assert first.direction == "friction up"
     best = first.causes(monitor.reader)[0]
-    assert verdict([best])[0] == best.parameter == "mu_s"
+    assert conclude([best])[0] == best.parameter == "mu_s"
     assert best.standard_error is not None
     assert abs(best.change - 0.08) < 4 * best.standard_error < 0.08
 
@@ -245,7 +245,7 @@ def test_what_changed_is_named(name, factor):
     first = monitor.alarms[0]
     assert 61 <= first.push <= 65
     found = first.causes(monitor.reader)
-    assert verdict(found)[0] == name
+    assert conclude(found)[0] == name
     assert found[0].standard_error is not None
     assert abs(found[0].change - (factor - 1)) < 4 * found[0].standard_error
 
@@ -254,7 +254,7 @@ def test_at_one_speed_stiffness_and_gain_cannot_be_told():
     columns = table((TRUE, 60), (TRUE, 8), seed=22, speeds=SPEEDS[1:2])
     columns["peak_force"] = np.where(columns["order"] > 60, 1.02, 1) * columns["peak_force"]
     monitor = fed(Monitor(setup()), columns)
-    named, words = verdict(monitor.alarms[0].causes(monitor.reader))
+    named, words = conclude(monitor.alarms[0].causes(monitor.reader))
     assert named is None and "stiffness" in words and "gain of the force sensor" in words
 
 
@@ -282,7 +282,7 @@ def test_the_scatter_may_be_unknown():
     noisy = replace(TRUE, scatter=0.03)
     monitor = fed(Monitor(setup(scatter=None)), table((noisy, 120), seed=41))
     assert not monitor.alarms
-    spreads = [monitor.friction.spread(k).phi ** 0.5 * monitor.scatter for k in monitor.cells]
+    spreads = [monitor.friction.get_spread(k).phi ** 0.5 * monitor.scatter for k in monitor.cells]
     assert np.mean(spreads) == pytest.approx(0.03, rel=0.2)
 
 
