@@ -35,10 +35,13 @@ class Location:
 
     component: str
     form: str
+    """key of `rig.free_form.FORMS`"""
     quantity: str
     """what the curve is over"""
     unit: str
+    """of the quantity"""
     x: NDArray
+    """values of the quantity at which the curve is told"""
     correction: NDArray
     """relative"""
     standard_error: NDArray
@@ -76,22 +79,12 @@ def add_free_forms(task: EnsembleTask, scales: Scales) -> EnsembleTask:
 def locate(task: EnsembleTask, plain: Fits, scales: Scales, excess: float) -> Location:
     """Locate what a plain fit (an ensemble of one) leaves unexplained.
 
-    `excess` is the chi-square of the plain fit beyond the noise's, of which each form explains a
-    share.
+    All forms are fitted to some of the pushes, and those that lead to all. `excess` is the
+    chi-square of the plain fit beyond the noise's, of which each form explains a share.
     """
     wide = add_free_forms(task, scales)
-    coordinates = wide.model.coordinates
-    extra = []
-    for name, form in FORMS.items():
-        beside = [x for x in form.beside if x in coordinates.names]
-        own = coordinates.indices((*free_form.names(name), *beside))
-        extra.append((*plain.extra[0], *(i for i in own if i not in plain.extra[0])))
-    start = plain.pick(np.zeros(len(extra), int))
-    c = np.zeros((len(extra), len(coordinates.names)))
-    c[:, : start.c.shape[1]] = start.c
-    at = replace(start, extra=tuple(extra), c=c, gram=None, residual=None, damping=None)
-    price = np.array([len(x) - len(plain.extra[0]) for x in extra]) * task.price
-    # All forms to some of the pushes; those that lead, to all.
+    at = _place_forms(wide, plain)
+    price = np.array([len(x) - len(plain.extra[0]) for x in at.extra]) * task.price
     some = choose_subset(task) if task.model.recordings else np.arange(task.n)
     first = ensemble_refits.refit(wide, at, _FIRST_ROUNDS, some)
     share = task.counts[some].sum() / task.counts.sum()
@@ -109,6 +102,20 @@ def locate(task: EnsembleTask, plain: Fits, scales: Scales, excess: float) -> Lo
     shares = dict(zip(FORMS, explained.tolist(), strict=True))
     worth = float((drop - price[leaders])[best])
     return _make_location(wide, at.pick([best]), name, scales, shares, worth)
+
+
+def _place_forms(wide: EnsembleTask, plain: Fits) -> Fits:
+    """Repeat the plain fit for each form, the form's coefficients free and still zero."""
+    coordinates = wide.model.coordinates
+    extra = []
+    for name, form in FORMS.items():
+        beside = [x for x in form.beside if x in coordinates.names]
+        own = coordinates.indices((*free_form.names(name), *beside))
+        extra.append((*plain.extra[0], *(i for i in own if i not in plain.extra[0])))
+    start = plain.pick(np.zeros(len(extra), int))
+    c = np.zeros((len(extra), len(coordinates.names)))
+    c[:, : start.c.shape[1]] = start.c
+    return replace(start, extra=tuple(extra), c=c, gram=None, residual=None, damping=None)
 
 
 def _make_location(

@@ -1,9 +1,13 @@
 """Where to start with effects that have a shape: a wavelength and a phase, or a place.
 
-Their amplitude has an exact derivative at the null for each shape: a score test a shape, at the
-cost of one evaluation, tells how much it would explain and with which amplitude and phase. A long
-push tells wavelengths apart that are close together, and has many of them: the search begins with
-pushes that do not reach far, and goes on with all between the best of those.
+For a given shape the amplitude has an exact derivative at its null. So each shape has a score test
+of its own, which tells at the cost of one evaluation how much the effect would explain, and with
+which amplitude and phase.
+
+Two waves differ in a push by as many wavelengths as it is long: a long push tells apart wavelengths
+that are close together, and so asks for a fine grid of many. The scan therefore has two passes: a
+coarse one with pushes that do not reach far, and a fine one with all pushes about the best
+wavelengths of the first.
 """
 
 from __future__ import annotations
@@ -43,6 +47,8 @@ _FIRST = slice(1, 4)
 """Of the pushes by how far they reach, those that begin: not the slowest, which take longest."""
 _WAYS = 2.0
 """A wave is no longer than so many of the longest ways."""
+_NEAREST = 0.04
+"""The first place that is looked at, as a share of the shortest way."""
 _PLACES = 14
 """Places within the shortest way, and again as many beyond it."""
 
@@ -59,29 +65,42 @@ def scan_shapes(
     key, phase = SHAPED[effect]
     names = [f"{effect}.amplitude", f"{effect}.{key}"]
     names += [] if phase is None else [f"{effect}.{phase}"]
-    index = [task.model.coordinates.index(x) for x in names]
+    index = task.model.coordinates.indices(names)
     way = scales.ways if effect != "pusher_ripple" else np.full(task.n, scales.travel)
-    if phase is None:
-        low, high = np.min(way), np.max(way)
-        shapes = np.linspace(0.04, 1.0, _PLACES) * low
-        shapes = np.append(shapes, np.linspace(low, high, _PLACES)[1:-1])
-        drop, starts = _score_shapes(task, base, index, shapes, some, far)
-        return starts.pick(_find_peaks(drop)[:_STARTS])
+    scan = _scan_places if phase is None else _scan_waves
+    drop, starts = scan(task, base, index, way, some, far)
+    return starts.pick(_find_peaks(drop)[:_STARTS])
+
+
+def _scan_places(
+    task: EnsembleTask, base: Fits, index: Sequence[int], way: NDArray, some: NDArray, far: bool
+) -> tuple[NDArray, Fits]:
+    """Score places [m] along the way (n,) of the pushes; see `_score_shapes`."""
+    low, high = np.min(way), np.max(way)
+    places = np.linspace(_NEAREST, 1.0, _PLACES) * low
+    places = np.append(places, np.linspace(low, high, _PLACES)[1:-1])
+    return _score_shapes(task, base, index, places, some, far)
+
+
+def _scan_waves(
+    task: EnsembleTask, base: Fits, index: Sequence[int], way: NDArray, some: NDArray, far: bool
+) -> tuple[NDArray, Fits]:
+    """Score wavelengths [m], coarsely and then about the best of these finely; see
+    `_score_shapes`."""
     near = some[np.argsort(way[some], kind="stable")]
     if task.model.recordings and len(near) > _FIRST.stop:  # of a table each push says little
         near = near[_FIRST] if far else near[_FIRST.start : 2 * _FIRST.stop]
     short, long = np.max(way[near]), np.max(way[some])
     step = 1.0 / (3.0 * short)
     last = min(1.0 / SHORTEST, 0.5 / short + MOST * step)
-    turns = np.arange(0.5 / short, last + step, step)
+    turns = np.arange(0.5 / short, last + step, step)  # a metre
     drop, _ = _score_shapes(task, base, index, 1.0 / turns, near, far)
     fine = 1.0 / (6.0 * long)
     spread = np.arange(-0.5 * step, 0.5 * step + 1e-9, fine)
     # A small wave's peak may lie on the side of another's.
     first = _find_peaks(drop)[:_PEAKS] if far else np.argsort(-drop)[:_BINS]
     between = (turns[first, None] + spread).ravel()
-    drop, starts = _score_shapes(task, base, index, 1.0 / between[between > 0], some, far)
-    return starts.pick(_find_peaks(drop)[:_STARTS])
+    return _score_shapes(task, base, index, 1.0 / between[between > 0], some, far)
 
 
 def is_within_travel(task: EnsembleTask, c: NDArray, effect: str, scales: Scales) -> bool:
@@ -129,21 +148,13 @@ def _score_shapes(
     found = ensemble.normal_equations(task, fits)
     known = found.H.shape[1] - len(free)
     drop = np.zeros(m)
+    moving = [0, *range(2, len(index))]  # all but the shape
     for j in range(m):
-        H, g = found.H[j], found.g[j]
-        scale = np.sqrt(np.maximum(np.diag(H), 1e-12))
-        A, r = H / np.outer(scale, scale), g / scale
-        solve = np.linalg.pinv(A[:known, :known], rcond=1e-12)
-        X = A[:known, known:]
-        S = A[known:, known:] - X.T @ solve @ X
-        left = r[known:] - X.T @ solve @ r[:known]
-        step = -np.linalg.lstsq(S, left, rcond=1e-6)[0]
-        drop[j] = -step @ left
-        step = step / scale[known:]
-        at[j, [0, *range(2, len(index))]] += step
+        drop[j], step = _predict_step(found.H[j], found.g[j], known)
+        at[j, moving] += step
     size = np.abs(at[:, 0]) if len(index) == 2 else np.hypot(at[:, 0], at[:, 2])
     shrink = np.minimum(1.0, _LARGEST / coordinates.unit[amplitude] / np.maximum(size, 1e-12))
-    at[:, [0, *range(2, len(index))]] *= shrink[:, None]
+    at[:, moving] *= shrink[:, None]
     if far:
         c = c.copy()
         c[:, index] = at
@@ -151,3 +162,16 @@ def _score_shapes(
     else:
         new = ensemble_refits.take_step(task, fits, 0.0)
     return drop, replace(new, extra=((*base.extra[0], *index),) * m, residual=None)
+
+
+def _predict_step(H: NDArray, g: NDArray, known: int) -> tuple[float, NDArray]:
+    """Return the predicted drop of chi-square, and the step of the numbers after the first `known`
+    that makes it, by normal equations (H, g)."""
+    scale = np.sqrt(np.maximum(np.diag(H), 1e-12))
+    A, r = H / np.outer(scale, scale), g / scale
+    solve = np.linalg.pinv(A[:known, :known], rcond=1e-12)
+    X = A[:known, known:]
+    S = A[known:, known:] - X.T @ solve @ X
+    left = r[known:] - X.T @ solve @ r[:known]
+    step = -np.linalg.lstsq(S, left, rcond=1e-6)[0]
+    return float(-step @ left), step / scale[known:]
