@@ -121,6 +121,13 @@ def description(card: Table) -> str:
     )
 
 
+WORDS = {
+    "adc_volts": "[V], the converter's range, either sign",
+    "metres_per_count": "[m], the encoder's step",
+}
+"""what the numbers are that turn words of the card into units"""
+
+
 def constants(card: Table) -> str:
     """src/difffric/acquisition/card_registers.py."""
 
@@ -140,8 +147,11 @@ def constants(card: Table) -> str:
         *table("FIFOS", said(card["fifo"])),
         *table("AT_RESET", {entry["name"]: repr(entry["at_reset"]) for entry in registers}),
         '"""what each register holds after a reset"""',
-        *(f"IRQ_{entry['name'].upper()} = {entry['number']}" for entry in card["interrupt"]),
-        *(f"{name.upper()} = {value!r}" for name, value in card["words"].items()),
+        *(
+            f"IRQ_{entry['name'].upper()} = {entry['number']}  # number of the interrupt"
+            for entry in card["interrupt"]
+        ),
+        *(f"{name.upper()} = {value!r}  # {WORDS[name]}" for name, value in card["words"].items()),
     ]
     return "\n".join(lines) + "\n"
 

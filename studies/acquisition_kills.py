@@ -31,22 +31,24 @@ def words() -> tuple[np.ndarray, np.ndarray]:
 
 def recording(path: str, told: int) -> None:
     """Record pushes without end, and write to `told` how many samples have been flushed."""
-    from difffric.acquisition import recorder as module
+    from difffric.acquisition import stream
+    from difffric.acquisition.push import Command
+    from difffric.acquisition.recorder import acquire
     from fpga.emulator.emulator import emulated_card
 
-    add, flushed = module._Group.add, [0]
+    add, flushed = stream._PushWriter.add, [0]
 
-    def add_and_tell(group, force, count):
-        add(group, force, count)
+    def add_and_tell(push, force, count):
+        add(push, force, count)
         flushed[0] += len(force)
         os.write(told, b"%d\n" % flushed[0])
 
-    module._Group.add = add_and_tell
+    stream._PushWriter.add = add_and_tell
     with emulated_card(rate=RATE, real=True) as card:
         for _ in range(100):
             card.add_push(*words())
         with card.open() as session:
-            module.acquire(session, 100 * [module.Command(0.05, 2e-3)], path)
+            acquire(session, 100 * [Command(0.05, 2e-3)], path)
 
 
 def killed(path: str, early: bool, after: float) -> int:

@@ -23,7 +23,8 @@ import jax
 import numpy as np
 
 from difffric.acquisition.card import split_position
-from difffric.acquisition.recorder import Command, acquire
+from difffric.acquisition.push import Command
+from difffric.acquisition.recorder import acquire
 from difffric.commands.reports.acquire import PAPER_SPEEDS_MM_MIN, Run, commands, record
 from difffric.commands.simulated_rig import simulated_card
 from difffric.measurements.files.tdms_reader import read_recordings
@@ -99,7 +100,7 @@ def words_of(setup: Setup, pushes: list[Command], rate: int) -> list[tuple]:
     for one in pushes:
         simulated.state["velocity_nm_per_s"] = round(one.velocity * 1e9)
         simulated.state["stroke_nm"] = round(one.stroke * 1e9)
-        force, position = simulated._digitised()
+        force, position = simulated._digitise()
         words.append((force, split_position(position)[1]))
     return words
 

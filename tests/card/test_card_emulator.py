@@ -23,7 +23,8 @@ import difffric as df
 from difffric.acquisition import card
 from difffric.acquisition.card import CardError, position_words, split_position
 from difffric.acquisition.card_registers import AT_RESET, IRQ_PUSH_ENDED
-from difffric.acquisition.recorder import Command, acquire
+from difffric.acquisition.push import Command
+from difffric.acquisition.recorder import acquire
 from difffric.acquisition.simulated_card import SimulatedCard
 from difffric.measurements.files.tdms_reader import read_recordings
 from fpga.emulator.emulator import (
@@ -357,7 +358,7 @@ def test_what_the_card_makes_of_a_push(emulated, seed):
     _, real_one = emulated(*parts)
     simulated = SimulatedCard(lambda velocity, stroke: (lambda t: (t, t), 1.0), rate=RATE)
     digitised = ((w, position_words(np.arange(len(w)), c)) for w, c in parts)
-    simulated._digitised = lambda: next(digitised)
+    simulated._digitise = lambda: next(digitised)
     for session in (real_one, simulated):
         for fifo in session.fifos.values():
             fifo.configure(n)
@@ -532,14 +533,14 @@ def bump(velocity, stroke):
 def played(path, pushes, **options):
     """A recording through the simulated card, and the words that it played."""
     simulated, words = SimulatedCard(bump, rate=10_000, seed=3), []
-    digitised = simulated._digitised
+    digitised = simulated._digitise
 
     def spy():
         force, position = digitised()
         words.append((force, split_position(position)[1]))
         return force, position
 
-    simulated._digitised = spy
+    simulated._digitise = spy
     return acquire(simulated, pushes, path, **options), words
 
 

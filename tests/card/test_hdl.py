@@ -157,7 +157,7 @@ def test_the_reference_sees_what_the_host_does():
         count = position.astype(np.uint64).astype(np.uint32).view(np.int32)
         assert position.tolist() == position_words(np.arange(100), count).tolist()
         watch.add(force.astype(np.int16), count)
-        assert force.tolist() == words and watch.hardware(model.says, lost=0).agrees
+        assert force.tolist() == words and watch.compare(model.says, lost=0).agrees
     assert reference.AT_RESET == {name: card_registers.AT_RESET[name] for name in model.says}
 
 

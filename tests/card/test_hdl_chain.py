@@ -12,7 +12,8 @@ import pytest
 
 import difffric as df
 from difffric.acquisition.card import METRES_PER_COUNT, VOLTS_PER_WORD, split_position
-from difffric.acquisition.recorder import Command, acquire
+from difffric.acquisition.push import Command
+from difffric.acquisition.recorder import acquire
 from difffric.commands.simulated_rig import SimulatedRig
 from difffric.identification.live import contradictions
 from difffric.measurements.checks import checked_data

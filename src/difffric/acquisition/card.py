@@ -160,13 +160,15 @@ def open_card(bitfile: str | os.PathLike | None, resource: str = "RIO0") -> Card
     try:
         return nifpga.Session(os.fspath(bitfile), resource, no_run=True)
     except nifpga.Status as status:
-        raise InputError(f"{resource}: no card can be opened: {card_words(status)}") from None
+        raise InputError(
+            f"{resource}: no card can be opened: {format_card_error(status)}"
+        ) from None
     except Exception as error:  # the bitfile's parser raises whatever it meets
-        what = card_words(error)
+        what = format_card_error(error)
         raise InputError(f"{bitfile}: not a bitfile that nifpga can use: {what}") from None
 
 
-def card_words(error: BaseException) -> str:
+def format_card_error(error: BaseException) -> str:
     """The first line of what a driver raised, without the arguments of its call."""
     first = (str(error).splitlines() or [""])[0].split(" with arguments")[0]
     return first or type(error).__name__

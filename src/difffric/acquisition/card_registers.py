@@ -48,6 +48,6 @@ AT_RESET = {
     "saturated_samples": 0,
 }
 """what each register holds after a reset"""
-IRQ_PUSH_ENDED = 0
-ADC_VOLTS = 10.0
-METRES_PER_COUNT = 2e-08
+IRQ_PUSH_ENDED = 0  # number of the interrupt
+ADC_VOLTS = 10.0  # [V], the converter's range, either sign
+METRES_PER_COUNT = 2e-08  # [m], the encoder's step

@@ -70,21 +70,23 @@ class Watch:
         if len(losses):
             self._loss = self.n + int(losses[-1]), int(count[losses[-1]])
 
-    def fault(self, says: Mapping[str, int]) -> str:
-        """Why the samples of this push are not to be trusted; empty where they are."""
+    def find_fault(self, seen: Mapping[str, int]) -> str:
+        """Why the samples of this push are not to be trusted, by them and by what the card saw;
+        empty where they are."""
         faults = []
-        if saturated := max(int(says["saturated_samples"]), self._saturated):
+        if saturated := max(int(seen["saturated_samples"]), self._saturated):
             faults.append(f"saturated: {saturated} samples at an end of the converter")
-        if says["encoder_error"]:
+        if seen["encoder_error"]:
             faults.append("encoder error: the counts are off from there on")
         if self.n >= _SHORTEST and self._most == self._least:
             faults.append(f"dead sensor: each of {self.n} force words is {self._most}")
         return "; ".join(faults)
 
-    def hardware(self, says: Mapping[str, int], lost: int) -> Hardware:
-        """What the card's registers say, and whether it is what was recorded."""
-        peak, released = int(says["peak_word"]), bool(says["released"])
-        loss = int(says["release_sample"]), int(says["release_count"])
+    def compare(self, seen: Mapping[str, int], lost: int) -> Hardware:
+        """What the card saw, as its registers say it, and whether that is what was recorded; of
+        the samples taken, `lost` did not come."""
+        peak, released = int(seen["peak_word"]), bool(seen["released"])
+        loss = int(seen["release_sample"]), int(seen["release_count"])
         problems = []
         if peak < self._most or (peak != self._most and not lost):
             problems.append(f"the card held a peak word of {peak}, the largest one is {self._most}")
@@ -100,16 +102,18 @@ class Watch:
                     )
                 )
             # More where the card averages: a conversion at an end does not show in its mean.
-            if (seen := int(says["saturated_samples"])) < self._saturated:
-                problems.append(f"the card counted {seen} saturated samples of {self._saturated}")
+            if (counted := int(seen["saturated_samples"])) < self._saturated:
+                problems.append(
+                    f"the card counted {counted} saturated samples of {self._saturated}"
+                )
         return Hardware(
             peak_word=peak,
             released=released,
             release_sample=loss[0],
             release_count=loss[1],
-            encoder_error=bool(says["encoder_error"]),
-            saturated_samples=int(says["saturated_samples"]),
-            overflow=bool(says["overflow"]),
+            encoder_error=bool(seen["encoder_error"]),
+            saturated_samples=int(seen["saturated_samples"]),
+            overflow=bool(seen["overflow"]),
             agrees=False if problems else (None if lost else True),
             problems=tuple(problems),
         )

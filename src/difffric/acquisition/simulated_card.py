@@ -64,9 +64,12 @@ class SimulatedCard:
         self.words_per_newton, self.range = sensitivity / VOLTS_PER_WORD, range
         self.resolution = resolution
         self.noise_force, self.noise_position = noise_force, noise_position
-        self.fifos = {"force": _Fifo(self, np.int16), "position": _Fifo(self, np.uint64)}
+        self.fifos = {
+            "force": _SimulatedFifo(self, np.int16),
+            "position": _SimulatedFifo(self, np.uint64),
+        }
         self.state: dict[str, int] = {}
-        self.registers = {name: _Register(self, name) for name in AT_RESET}
+        self.registers = {name: _SimulatedRegister(self, name) for name in AT_RESET}
         self.pushes = 0
         self.reset()
 
@@ -90,7 +93,7 @@ class SimulatedCard:
     def begin(self) -> None:
         """Start the push that the registers say."""
         self._clear()
-        self._words = self._digitised()
+        self._words = self._digitise()
         self.pushes += 1
 
     def _clear(self) -> None:
@@ -98,7 +101,7 @@ class SimulatedCard:
         self._time = 0.0  # of the card's clock since the push's first sample
         self._contact = False
 
-    def _digitised(self) -> tuple[NDArray, NDArray]:
+    def _digitise(self) -> tuple[NDArray, NDArray]:
         """The words of both FIFOs for the whole push."""
         state = self.state
         evaluate, end = self.trace(state["velocity_nm_per_s"] * 1e-9, state["stroke_nm"] * 1e-9)
@@ -156,7 +159,7 @@ class SimulatedCard:
             state["released"] = False
 
 
-class _Register:
+class _SimulatedRegister:
     def __init__(self, card: SimulatedCard, name: str):
         self._card, self._name = card, name
 
@@ -171,7 +174,7 @@ class _Register:
             self._card.begin()
 
 
-class _Fifo:
+class _SimulatedFifo:
     def __init__(self, card: SimulatedCard, kind: type):
         self._card = card
         self._depth, self._started = _DEFAULT_DEPTH, False

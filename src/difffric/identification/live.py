@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.acquisition.card import VOLTS_PER_WORD
-from difffric.acquisition.recorder import Acquired, Command
+from difffric.acquisition.push import Acquired, Command
 from difffric.compute.pytrees import pick
 from difffric.errors import DifffricError
-from difffric.estimation.push_rigs import rigs_of
-from difffric.estimation.stacked_data import sensor_errors
+from difffric.identification.combination import combine
 from difffric.identification.estimates import PushFriction
-from difffric.identification.estimators import Calibration, around, combine, root_of
-from difffric.identification.tabulated_inversion import Curve, range_ratio
+from difffric.identification.resolved_pushes import Calibration, ResolvedPushes
+from difffric.identification.tabulated_model import TabulatedModel, compute_range_ratio
 from difffric.measurements.checks import checked_data
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Channel, Recording, Recordings
@@ -66,18 +65,19 @@ class LiveIdentifier:
         tell: Tell = silent,
     ):
         self._setup, rig = setup, setup.rig
-        self._known = Calibration.read(setup)
-        self._root = root_of(self._known.of("")[1])
-        self._integrator = default_integrator(rig)
-        self._sensors = [np.nan if x is None else x for x in sensor_errors(rig)]
+        known, integrator = Calibration.read(setup), default_integrator(rig)
         tell("compiling", 0.0)
         speeds = from_mm_min(SPEEDS_MM_MIN)
-        self._ratio = range_ratio(rig, speeds, MU_S, self._integrator)
-        self._curves: dict[Command, Curve] = {}
+        ratio = compute_range_ratio(rig, speeds, MU_S, integrator)
+        self._curves: dict[Command, TabulatedModel] = {}
+        self._resolved: dict[Command, ResolvedPushes] = {}
         for command in dict.fromkeys(commands):
             alone = Pushes(velocity=_one(command.velocity), stroke=_one(command.stroke))
-            this = pick(rigs_of(rig, alone), 0)
-            self._curves[command] = Curve.of(this, command.velocity, self._integrator)
+            resolved = ResolvedPushes.of(known, alone, integrator=integrator, range_ratio=ratio)
+            self._resolved[command] = resolved
+            self._curves[command] = TabulatedModel.of(
+                pick(resolved.models.rigs, 0), command.velocity, integrator
+            )
         for command in self._curves:
             with suppress(DifffricError):  # at a low rate there is nothing to reduce
                 self._reduced(_rehearsal(command, rig.force_sensor))
@@ -109,18 +109,12 @@ class LiveIdentifier:
         return reduce_recordings(checked_data(Recordings((recording,)), self._setup.rig))
 
     def _friction(self, command: Command, pushes: Pushes) -> PushFriction:
-        curve = self._curves[command]
+        curve, resolved = self._curves[command], self._resolved[command].with_readings(pushes)
         F, d = float(pushes.peak_force[0]), float(pushes.sliding_distance[0])
-        force = curve.invert(F, "peak_force")
-        distance = curve.supported(curve.invert(d, "sliding_distance"), F)
-        gradients, regimes = around(
-            curve.spread, pushes, [force], [distance], self._known.names, self._integrator
-        )
-        own = (pushes.peak_force_se[0], pushes.sliding_distance_se[0])
-        se = [np.where(np.isnan(a), b, a) for a, b in zip(own, self._sensors, strict=True)]
-        return combine(
-            pushes, 0, force, distance, se, gradients[0], self._root, self._ratio, regimes[0]
-        )
+        force = [curve.invert(F, "peak_force")]
+        distance = [curve.choose_by_force(curve.invert(d, "sliding_distance"), F)]
+        gradient, regimes = resolved.differentiate(force, distance)
+        return combine(resolved, force, distance, gradient, regimes).row(0)
 
 
 def _one(value: float) -> NDArray:

@@ -14,7 +14,9 @@ import pytest
 from nptdms import TdmsFile
 
 from difffric.acquisition.card import CardError
-from difffric.acquisition.recorder import SEGMENT, Command, acquire, troubles
+from difffric.acquisition.push import Command
+from difffric.acquisition.recorder import acquire
+from difffric.acquisition.stream import SEGMENT
 from difffric.commands.reports.acquire import Run, acquire_answer, acquire_report, raise_for_lost
 from difffric.errors import DiskError
 from difffric.measurements.files import tdms_writer
@@ -78,7 +80,7 @@ def test_the_card_s_own_peak_and_latch_agree_with_what_is_recorded(tmp_path):
     with card((words, counts)) as (_, session):
         (push,) = acquire(session, [PUSH], tmp_path / "pushes.tdms")
     seen = push.hardware
-    assert seen.agrees is True and not troubles(push)
+    assert seen.agrees is True and not push.troubles
     assert seen.peak_word == words.max() and seen.released
     assert words[seen.release_sample] < 74 and seen.release_count == counts[seen.release_sample]
 

@@ -10,12 +10,12 @@ import pytest
 from rich.console import Console
 
 from difffric.acquisition.hardware_check import Hardware
-from difffric.acquisition.recorder import Acquired, Command
+from difffric.acquisition.push import Acquired, Command
 from difffric.commands.figures.acquire import envelope, strokes
 from difffric.commands.live_view import LivePlot, LiveView
 from difffric.identification.estimates import NONE, Estimate, PushFriction
 from difffric.identification.live import LivePush, contradictions
-from difffric.identification.tabulated_inversion import Curve, _observed
+from difffric.identification.tabulated_model import TabulatedModel, _observe_chunk
 from difffric.measurements.recordings import Channel, Recording
 from difffric.measurements.reduction.reduce import Reduced
 from difffric.rig import parameters
@@ -107,7 +107,7 @@ def test_the_reduction_checks_what_the_card_saw(change, words):
 
 def test_mu_s_from_a_curve_gives_back_what_was_measured():
     rig = parameters.with_stroke(read_setup("examples/setup.toml").rig, 1.2e-3)
-    curve = Curve.of(rig, 0.02)
+    curve = TabulatedModel.of(rig, 0.02)
     random = np.random.default_rng(0)
     for i in random.integers(300, 900, 20):
         for which, quantity in enumerate(("peak_force", "sliding_distance")):
@@ -118,7 +118,7 @@ def test_mu_s_from_a_curve_gives_back_what_was_measured():
             found = curve.invert(target, quantity)
             roots = np.array(found.alternatives or [found.value])
             size = np.resize(roots, 512)
-            model = _observed(curve.rig, np.full(512, 0.02), size, curve.integrator)[which]
+            model = _observe_chunk(curve.rig, np.full(512, 0.02), size, curve.integrator)[which]
             assert np.allclose(model[: len(roots)], target, rtol=1e-9)
             assert np.any((roots > curve.mu_s[i]) & (roots < curve.mu_s[i + 1]))
     for target, words in ((np.nan, "no peak force was measured"), (1e6, "above the most")):
