@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import overload
 
 import numpy as np
+from jaxtyping import Float
 from numpy.typing import NDArray
 
 from difffric.units import to_mm_min
@@ -46,6 +47,26 @@ class Estimate:
 
 
 NONE = Estimate(None)
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """One way's mu_s of n pushes."""
+
+    value: Float[NDArray, " n"]
+    """NaN: there is none"""
+    standard_error: Float[NDArray, " n"]
+    """NaN: not known"""
+    shared: Float[NDArray, "n k"]
+    """the calibration's part of the error along its k axes (`Estimate.shared`)"""
+
+    def row(self, i: int) -> Estimate:
+        """That of one push."""
+        value, error, shared = self.value[i], self.standard_error[i], self.shared[i]
+        if not np.isfinite(value):
+            return NONE
+        part = tuple(map(float, shared)) if np.isfinite(shared).all() else ()
+        return Estimate(float(value), float(error) if np.isfinite(error) else None, part)
 
 
 @dataclass(frozen=True)

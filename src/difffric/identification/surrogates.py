@@ -12,6 +12,7 @@ import numpy as np
 import scipy
 
 from difffric.errors import NumericalError
+from difffric.simulation.families import Family
 from difffric.units import from_um, to_mm_min, to_um
 
 
@@ -114,6 +115,21 @@ def _finite(*columns):
     arrays = np.broadcast_arrays(*(np.asarray(c, float) for c in columns))
     flat = np.stack([a.ravel() for a in arrays])
     return flat[:, np.isfinite(flat).all(axis=0)]
+
+
+def fit_force(family: Family) -> ForceSurrogate:
+    """Equation (3) fitted to a family of curves."""
+    v, mu = np.meshgrid(family.velocity, family.mu_s, indexing="ij")
+    return ForceSurrogate.fitted(v, mu, family.peak_force)
+
+
+def fit_distance(family: Family) -> DistanceSurrogate:
+    """Equation (5) fitted to a family of curves.
+
+    Raises `NumericalError` with fewer pushes that slide than it has coefficients.
+    """
+    v, mu = np.meshgrid(family.velocity, family.mu_s, indexing="ij")
+    return DistanceSurrogate.fitted(v, mu, family.sliding_distance)
 
 
 PUBLISHED_FORCE = ForceSurrogate(C_v=0.0529, C_mu=146.2)

@@ -44,7 +44,7 @@ class RecordingFits:
 
 
 def fit_recordings(
-    rigs_by_push: list[Rig], reduction: Reduction, guess: NDArray, integrator: Integrator
+    rigs_by_push: list[Rig], reduction: Reduction, guess: NDArray, integrator: Integrator | None
 ) -> RecordingFits:
     """Fit log mu_s of every push to its samples, from `guess` (n,), NaN: the rig's own."""
     rig, recordings = rigs_by_push[0], reduction.recordings

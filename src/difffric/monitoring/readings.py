@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from difffric.compute.pytrees import pick
 from difffric.estimation.push_rigs import rigs_of
 from difffric.estimation.stacked_data import sensor_errors
-from difffric.identification.tabulated_inversion import Curve
+from difffric.identification.resolved_pushes import fill_errors
+from difffric.identification.tabulated_model import TabulatedModel
 from difffric.measurements.pushes import Pushes
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
@@ -32,10 +33,7 @@ from difffric.units import from_um, to_um
 NOISE = (0.5, from_um(0.3) * np.sqrt(2.0))
 """Standard errors of F_p [N] and d [m] where neither the pushes nor the set-up say any."""
 _KEPT = 256  # settings whose curves are kept
-_NEWTON = 6  # steps from a cell of the curve, which is so narrow that three do
-_CLOSE = 1e-6  # before Newton's last step, relative: it squares it; more is a jump of the model
 _FAR = 0.25  # by so much of F_p another branch of the model is meant
-_BRANCH = (0.2, 0.05)  # of mu_s and of F_p: distances of the branches of the model
 _AT_ONCE = 4096  # pushes
 
 
@@ -62,9 +60,9 @@ class Reader:
         self.noise_known = tuple(x is not None for x in own)
         self._noise = [b if a is None else a for a, b in zip(own, NOISE, strict=True)]
         self._integrator = default_integrator(rig)
-        self._curves: dict[tuple[float, ...], Curve] = {}
+        self._curves: dict[tuple[float, ...], TabulatedModel] = {}
 
-    def curve(self, velocity: float, mass: float, stroke: float) -> Curve:
+    def curve(self, velocity: float, mass: float, stroke: float) -> TabulatedModel:
         """F_p and d over mu_s of one setting, SI units; NaN: the rig's own."""
         key = (float(velocity), *(-1.0 if np.isnan(x) else float(x) for x in (mass, stroke)))
         if key not in self._curves:
@@ -72,19 +70,13 @@ class Reader:
                 self._curves.pop(next(iter(self._curves)))
             alone = Pushes(velocity=_one(velocity), mass=_one(mass), stroke=_one(stroke))
             own = pick(rigs_of(self.rig, alone), 0)
-            self._curves[key] = Curve.of(own, float(velocity), self._integrator)
+            self._curves[key] = TabulatedModel.of(own, float(velocity), self._integrator)
         return self._curves[key]
 
     def sigma(self, pushes: Pushes) -> NDArray:
         """(n, 2) errors of F_p [N] and d [m]; infinite where one was not measured."""
-        pairs = (
-            (pushes.peak_force, pushes.peak_force_se, self._noise[0]),
-            (pushes.sliding_distance, pushes.sliding_distance_se, self._noise[1]),
-        )
-        return np.stack(
-            [np.where(np.isnan(x), np.inf, np.where(np.isnan(se), of, se)) for x, se, of in pairs],
-            axis=1,
-        )
+        measured = np.stack([pushes.peak_force, pushes.sliding_distance], axis=1)
+        return np.where(np.isnan(measured), np.inf, fill_errors(pushes, self._noise))
 
     def read(self, pushes: Pushes, expected: float | None = None) -> Reading:
         """What pushes say. A push that was not measured, or that no mu_s explains, has a reason.
@@ -111,19 +103,20 @@ class Reader:
         return out
 
     def _read(
-        self, curve: Curve, pushes: Pushes, at: NDArray, expected: float, out: Reading
+        self, curve: TabulatedModel, pushes: Pushes, at: NDArray, expected: float, out: Reading
     ) -> None:
         measured = np.stack([pushes.peak_force[at], pushes.sliding_distance[at]])
         sigma = out.sigma[at].T
-        start = roots(curve, 1, measured[1], expected, measured[0])
-        model, slope = values(curve, start)
+        start = curve.find_roots(measured[1], "sliding_distance", expected, measured[0])
+        model, slope = curve.observe(start)
         with np.errstate(divide="ignore", invalid="ignore"):
             far = np.abs(model[0] / measured[0] - 1.0) > _FAR
             start = np.where(far, np.nan, start)
             finer = sigma[0] / np.abs(slope[0]) < sigma[1] / np.abs(slope[1])
             if (by_force := np.isnan(measured[1]) | (finer & ~far)).any():
-                start = np.where(by_force, roots(curve, 0, measured[0], expected), start)
-                model, slope = values(curve, start)
+                by_force_alone = curve.find_roots(measured[0], "peak_force", expected)
+                start = np.where(by_force, by_force_alone, start)
+                model, slope = curve.observe(start)
             J, gone = slope / sigma, np.isinf(sigma)
             rho = np.where(gone, 0.0, (measured - model) / sigma)
             size = np.hypot(*np.where(gone, 0.0, J))
@@ -137,51 +130,15 @@ class Reader:
             out.reason[at[i]] = _why(curve, measured[:, i])
 
 
-def roots(
-    curve: Curve, which: int, target: NDArray, expected: float, force: NDArray | None = None
-) -> NDArray:
-    """(n,) log mu_s at which the model gives F_p (`which` 0) or d (1); NaN: at none. Of several,
-    the one nearest to what is `expected` and, where it is given, to the measured force."""
-    grid, value = np.log(curve.mu_s), curve.both[which]
-    exists = np.isfinite(value)
-    below = value < target[:, None]
-    crosses = (below[:, 1:] != below[:, :-1]) & exists[1:] & exists[:-1]
-    away = ((grid[1:] - expected) / _BRANCH[0]) ** 2 * np.ones(crosses.shape)
-    if force is not None:
-        F = 0.5 * (curve.both[0][1:] + curve.both[0][:-1])
-        off = ((F / force[:, None] - 1.0) / _BRANCH[1]) ** 2
-        away = away + np.where(np.isnan(off), 0.0, off)
-    cell = np.argmin(np.where(crosses, away, np.inf), axis=1)
-    some = crosses[np.arange(len(target)), cell]
-    low, high = grid[cell], grid[cell + 1]
-    x = np.where(some, 0.5 * (low + high), np.nan)
-    for _ in range(_NEWTON):
-        seen, slope = values(curve, x)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            off = seen[which] - target
-            close = np.abs(off) < _CLOSE * target
-            x = np.clip(x - off / slope[which], low, high)
-        if (close | ~some).all():
-            break
-    return np.where(some & close, x, np.nan)
-
-
-def values(curve: Curve, x: NDArray) -> tuple[NDArray, NDArray]:
-    """(2, n) F_p and d at log mu_s, and their derivatives by it; NaN at NaN."""
-    known = np.isfinite(x)
-    seen = observed(curve, {"mu_s": np.exp(np.where(known, x, -2.0))}, ("mu_s",))
-    model = np.stack([seen.peak_force, seen.sliding_distance])
-    slope = np.stack([seen.peak_force_by["mu_s"], seen.sliding_distance_by["mu_s"]])
-    return np.where(known, model, np.nan), np.where(known, slope * np.exp(x), np.nan)
-
-
-def observed(curve: Curve, new: dict, by: tuple[str, ...], rig: Rig | None = None) -> Batch:
+def observed(
+    curve: TabulatedModel, new: dict, by: tuple[str, ...], rig: Rig | None = None
+) -> Batch:
     """F_p, d and their derivatives at a setting with some parameters (n,) replaced."""
     rig = parameters.with_values(curve.rig if rig is None else rig, new)
     return observe_batch(rig, curve.velocity, derivatives=by)
 
 
-def _why(curve: Curve, measured: NDArray) -> str:
+def _why(curve: TabulatedModel, measured: NDArray) -> str:
     """Why a push says nothing of mu_s."""
     if np.isnan(measured).all():
         return "neither force nor distance was measured"

@@ -19,7 +19,7 @@ from difffric.estimation import coordinates, restricted_likelihood
 from difffric.estimation.mixed_model import FitPoint
 from difffric.estimation.residuals import Grid, TracePush
 from difffric.estimation.stacked_data import table_data
-from difffric.identification.free_slide import slide_friction
+from difffric.identification.free_slide import invert_slides
 from difffric.measurements.recordings import Channel, Recording, Recordings
 from difffric.rig import parameters
 from difffric.rig.sensors import ForceSensor
@@ -241,7 +241,7 @@ def test_a_slide_is_inverted_exactly(k_v):
     v, mu = np.array([0.02, 0.1, 0.6]), np.array([0.05, 0.15, 0.4])
     d = np.array([slide(18.9, m, 0.75, k_v, u) for m, u in zip(mu, v, strict=True)])
     rigs = pytrees.replicate(df.spring_damper_rig(mass=18.9, mu_s=0.1, k=8e5, b=1500.0, k_v=k_v), 3)
-    found, _ = slide_friction(rigs, v, np.zeros(3), d, np.zeros(3))
+    found, _ = invert_slides(rigs, v, d)
     np.testing.assert_allclose(found, mu, rtol=1e-9)
 
 
