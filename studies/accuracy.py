@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from difffric.simulation.segments import REGIMES
+from difffric.simulation.events import Regime
 from difffric.simulation.sensitivities import sensitivity
 from tests.against.test_reference import CASES, QUANTITIES, natural_scale, rigs
 
@@ -41,7 +41,9 @@ def main():
     """Print one row a class of pushes."""
     jax.config.update("jax_enable_x64", True)
     rows = relative_errors()
-    groups = [(r, lambda c, r=r: c["regime"] == r and not c.get("near_edge")) for r in REGIMES]
+    groups = [
+        (r.word, lambda c, r=r: c["regime"] == r.word and not c.get("near_edge")) for r in Regime
+    ]
     groups += [
         ("2 to 8 contacts", lambda c: 2 <= c["contacts"] <= 8 and not c.get("near_edge")),
         ("9 to 16 contacts", lambda c: c["contacts"] > 8 and not c.get("near_edge")),

@@ -17,8 +17,8 @@ import pytest
 
 from difffric.compute.pytrees import pick, replicate
 from difffric.rig.rig import spring_damper_rig
+from difffric.simulation.events import Reason, Regime
 from difffric.simulation.observables import observe
-from difffric.simulation.segments import REGIMES, TOO_MANY_CONTACTS
 from difffric.simulation.sensitivities import sensitivity
 
 FILE = json.loads((Path(__file__).parents[1] / "reference" / "cases.json").read_text())
@@ -73,7 +73,7 @@ def ours():
 def test_the_cases_cover_every_regime():
     assert len(CASES) >= 300
     classes = {(c["regime"], c["stuck_first"]) for c in CASES}
-    assert {r for r, _ in classes} == set(REGIMES)
+    assert {r for r, _ in classes} == {regime.word for regime in Regime}
     for regime in ("pushed_to_rest", "released_by_rebound", "released_at_stop"):
         assert {(regime, True), (regime, False)} <= classes
     assert set(range(1, 9)) <= {c["contacts"] for c in CASES}
@@ -86,7 +86,7 @@ def test_the_cases_cover_every_regime():
 def test_regimes_agree(ours):
     for case, found in zip(CASES, ours, strict=True):
         seen = found.observables
-        got = (REGIMES[int(seen.regime)], bool(seen.stuck_first), int(seen.contacts))
+        got = (Regime(int(seen.regime)).word, bool(seen.stuck_first), int(seen.contacts))
         assert got == (case["regime"], case["stuck_first"], case["contacts"]), case
 
 
@@ -162,7 +162,7 @@ def test_more_than_16_contacts_is_an_answer_that_says_so():
     cases = FILE["too_many_contacts"]
     rig, v = rigs(cases)
     seen = eqx.filter_jit(eqx.filter_vmap(observe))(rig, v)
-    assert np.all(np.asarray(seen.reason) == TOO_MANY_CONTACTS)
+    assert np.all(np.asarray(seen.reason) == Reason.TOO_MANY_CONTACTS)
     assert np.isnan(seen.peak_force).all() and np.isnan(seen.sliding_distance).all()
 
 

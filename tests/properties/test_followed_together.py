@@ -19,22 +19,22 @@ EFFECTS = {"force_lowpass": {"tau_s": 1e-3}, "force_highpass": {"tau_s": 0.2}}
 
 
 def rigs():
-    real = df.extended(PLAIN, EFFECTS)
+    real = df.rig.extended(PLAIN, EFFECTS)
     return pytrees.replicate(real, len(VELOCITY))
 
 
 @pytest.fixture(scope="module")
 def readings():
     """(together, alone): force and position of each push at the same instants."""
-    marcher = partial(RungeKutta().marcher, blind=True)
+    build_loop = partial(RungeKutta().build_loop, blind=True)
     t = jnp.linspace(-1e-3, 0.2, 300)
 
     def together(rigs, v):
-        paths = follow_together(marcher, rigs, v, 400)
+        paths = follow_together(build_loop, rigs, v, 400)
         return jax.vmap(lambda path: path.read(t, t))(paths)
 
     def alone(rigs, v):
-        return jax.lax.map(lambda one: follow(marcher(*one), 400)[1].read(t, t), (rigs, v))
+        return jax.lax.map(lambda one: follow(build_loop(*one), 400)[1].read(t, t), (rigs, v))
 
     return [
         jax.jit(f, compiler_options=OPTIONS)(rigs(), jnp.asarray(VELOCITY))

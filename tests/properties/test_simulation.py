@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import difffric as df
-from difffric.simulation.oscillator import Oscillator, Slide
-from difffric.simulation.segments import FREE, Push
+from difffric.simulation.events import Mode
+from difffric.simulation.oscillator import Oscillator, ViscousSlide
+from difffric.simulation.segments import Push
 from difffric.units import GRAVITY
 from tests.reference import ode
 
@@ -85,12 +86,12 @@ def test_d_is_the_distance_from_the_last_loss_of_contact_to_rest(rig, velocity, 
         return
     modes, times = (np.asarray(a) for a in (push.segments.mode, push.segments.t))
     used = np.flatnonzero(np.isfinite(times))
-    free = used[modes[used] == FREE]
+    free = used[modes[used] == Mode.FREE]
     # The last run of free segments starts at the last loss of contact.
     last = free[-1]
-    while last - 1 in used and (modes[last - 1] == FREE or times[last - 1] == times[last]):
+    while last - 1 in used and (modes[last - 1] == Mode.FREE or times[last - 1] == times[last]):
         last -= 1
-    while modes[last] != FREE:
+    while modes[last] != Mode.FREE:
         last += 1
     x = np.asarray(push.position(np.array([times[last], float(push.stop_time) + 1.0])))
     assert x[1] - x[0] == pytest.approx(float(push.sliding_distance), rel=1e-9, abs=1e-15)
@@ -186,7 +187,7 @@ def test_the_oscillator_flows_through_every_damping(zeta, p, dp, t):
 @settings(max_examples=200, deadline=None)
 @given(st.sampled_from([0.0, 1e-12, 1e-6, 1e-2, 0.2, 3.0]), st.floats(1e-6, 10.0))
 def test_the_slide_ends_at_rest(rate, u):
-    slide = Slide(jnp.asarray(1.0), jnp.asarray(rate))
+    slide = ViscousSlide(jnp.asarray(1.0), jnp.asarray(rate))
     t, s = slide.rest(u)
     distance, speed = slide.flow(u, t)
     assert float(distance) == pytest.approx(float(s), rel=1e-12)

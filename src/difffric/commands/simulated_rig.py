@@ -8,7 +8,7 @@ from difffric.acquisition.simulated_card import SimulatedCard
 from difffric.errors import NumericalError
 from difffric.rig import parameters
 from difffric.rig.setup import Setup
-from difffric.simulation.segments import REASONS
+from difffric.simulation.events import Reason
 from difffric.simulation.trajectory import simulate
 from difffric.units import to_mm_min
 
@@ -32,7 +32,7 @@ class SimulatedRig:
         mean = float(parameters.values(self.rig)["mu_s"])
         mu_s = mean * float(np.exp(self.scatter * self.random.standard_normal()))
         push = simulate(self.rig, velocity, stroke=stroke, mu_s=mu_s)
-        if push.reason not in (None, REASONS[1]):
+        if push.reason not in (None, Reason.RESTS_IN_CONTACT.text):
             raise NumericalError(
                 f"{to_mm_min(velocity):g} mm/min cannot be recorded: {push.reason}"
             )

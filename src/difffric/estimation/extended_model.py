@@ -27,7 +27,7 @@ from difffric.estimation.block_means import UnevenBlocks
 from difffric.estimation.effect_coordinates import Coordinates
 from difffric.rig import catalogue
 from difffric.rig.rig import Rig
-from difffric.simulation.observables import marched, observe
+from difffric.simulation.observables import observe, observe_steps
 from difffric.simulation.stepping.integrator import RungeKutta
 from difffric.simulation.stepping.path import follow_together
 
@@ -99,12 +99,12 @@ def _answer_recordings(
     def readings(c):
         rigs = jax.vmap(lambda push, c: build_push_rig(coordinates, rig, push, c))(pushes, c)
         v = jax.vmap(lambda rig, v: rig.pusher.speed(v))(rigs, pushes.velocity)
-        paths = follow_together(partial(integrator.marcher, blind=True), rigs, v, steps)
+        paths = follow_together(partial(integrator.build_loop, blind=True), rigs, v, steps)
         f, x = jax.vmap(lambda path, *t: path.read(*t))(paths, force.t, position.t)
         # What could not be followed to its end is no number, and no fit goes there.
         known = jnp.where(paths.end.lost_track | ~paths.end.over, jnp.nan, 1.0)[:, None]
         f, x = known * f, known * x
-        seen = jax.vmap(lambda rig, v, m: marched(integrator.marcher(rig, v, True), m))
+        seen = jax.vmap(lambda rig, v, m: observe_steps(integrator.build_loop(rig, v, True), m))
         seen = seen(rigs, v, paths.end)
         model = jnp.stack([seen.peak_force, seen.sliding_distance], axis=1)
         means = jax.vmap(_average)

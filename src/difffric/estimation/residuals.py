@@ -16,7 +16,7 @@ from difffric.estimation.coordinates import START, rig_at, to_value
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
 from difffric.simulation.observables import observe
-from difffric.simulation.oscillator import Slide
+from difffric.simulation.oscillator import ViscousSlide
 from difffric.simulation.segments import Push
 from difffric.simulation.trajectory import Trajectory
 
@@ -79,11 +79,11 @@ class SlidePush(NamedTuple):
     channels = (DISTANCE,)
 
     def respond(self, rig: Rig, integrator, coordinates) -> Rows:
-        """Residual of d, `Slide.rest` of equation (2) without contact."""
+        """Residual of d, `ViscousSlide.rest` of equation (2) without contact."""
 
         def residual(c):
             at = rig_at(rig, c)
-            slide = Slide(-at.free(0.0), -jax.jacfwd(at.free)(0.0))
+            slide = ViscousSlide(-at.free(0.0), -jax.jacfwd(at.free)(0.0))
             d = slide.rest(self.release_velocity)[1]
             r = self.measured - d
             return r, (r, jnp.stack([jnp.nan, d]))

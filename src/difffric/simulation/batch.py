@@ -88,9 +88,9 @@ class Batch(NamedTuple):
     sliding_distance: NDArray
     """NaN where `reason` is not 0"""
     reason: NDArray
-    """why there is no d, as an index of `push.REASONS`"""
+    """why there is no d, a code of `events.Reason`"""
     regime: NDArray
-    """an index of `push.REGIMES`"""
+    """a code of `events.Regime`"""
     peak_force_by: dict[str, NDArray]
     """its derivatives, by the parameter's name"""
     sliding_distance_by: dict[str, NDArray]

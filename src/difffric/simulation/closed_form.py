@@ -7,13 +7,15 @@ from math import factorial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
 
 from difffric.compute.elementary_functions import angle, polynomial, quotient
 from difffric.compute.event_root import falling_root
 from difffric.errors import InputError
 from difffric.rig.rig import Rig
-from difffric.simulation.leg import CATCH, HALT, RELEASE, STOP, TURN, Leg, first_event
-from difffric.simulation.oscillator import Oscillator, Slide
+from difffric.simulation.events import Event
+from difffric.simulation.leg import Leg, first_event
+from difffric.simulation.oscillator import Oscillator, ViscousSlide
 
 _SINE, _COSINE, _DECAY = (
     [sign**n / factorial(per * n + more) for n in range(5)]
@@ -36,7 +38,7 @@ def _oscillator(acceleration, v_p):
 
 
 def _slide(rig):
-    return Slide(-rig.free(0.0), -_slope(rig.free))
+    return ViscousSlide(-rig.free(0.0), -_slope(rig.free))
 
 
 def _slope(law):
@@ -47,7 +49,7 @@ def _slope(law):
 def _gap(t, args):
     """Distance of the part ahead of a tip that moves at v_p, and its rate."""
     drag, rate, u, ahead, v_p = args
-    s, u_t = Slide(drag, rate).flow(u, t)
+    s, u_t = ViscousSlide(drag, rate).flow(u, t)
     return ahead + s - v_p * t, u_t - v_p
 
 
@@ -69,7 +71,7 @@ class ClosedForm(eqx.Module):
     differentiable to any order in forward mode.
     """
 
-    def check(self, rig: Rig):
+    def check(self, rig: Rig) -> None:
         """Raise `InputError` where a law of the rig has no closed form."""
         if not rig.affine:
             raise InputError(
@@ -78,7 +80,7 @@ class ClosedForm(eqx.Module):
                 "leave the integrator out, or give integrator=Diffrax()"
             )
 
-    def breakaway(self, rig, v_p):
+    def breakaway(self, rig: Rig, v_p: Float[Array, ""]) -> Float[Array, ""]:
         """Compression [m] at which a part at rest starts to slide; 0: at once."""
         at_touch = rig.contact.approach(0.0, v_p)
         stiffness = _slope(lambda z: rig.contact.approach(z, v_p))
@@ -86,7 +88,15 @@ class ClosedForm(eqx.Module):
         sticks = F_S > at_touch
         return jnp.where(sticks, (F_S - at_touch) * quotient(1.0, stiffness), 0.0)
 
-    def closing(self, rig, z, u, v_p, left, may_halt):
+    def closing(
+        self,
+        rig: Rig,
+        z: Float[Array, ""],
+        u: Float[Array, ""],
+        v_p: Float[Array, ""],
+        left: Float[Array, ""],
+        may_halt: bool,
+    ) -> Leg:
         """The tip closes in on the part, until w = 0, the part halts or the pusher stops."""
         osc, z_e = _oscillator(rig.approaching, v_p)
         xi, w = z - z_e, v_p - u
@@ -109,19 +119,22 @@ class ClosedForm(eqx.Module):
             halt = jnp.where(halts, falling_root(_undershoot, args, 0.0, top, 0.5 * top), jnp.inf)
             # Caught as it comes to rest, its last speed lost in rounding.
             halt = jnp.where(falling & (w >= v_p) & (v_p > 0), 0.0, halt)
-        dt, event = first_event((left, STOP), (turn, TURN), (halt, HALT))
+        dt, event = first_event((left, Event.STOP), (turn, Event.TURN), (halt, Event.HALT))
         at_turn = osc.extremum(xi, w, _finite(dt))
         if may_halt:
             p, dp = osc.flow(xi, w, _finite(dt))
-            p, dp = jnp.where(event == TURN, at_turn, p), jnp.where(event == TURN, 0.0, dp)
+            p, dp = (
+                jnp.where(event == Event.TURN, at_turn, p),
+                jnp.where(event == Event.TURN, 0.0, dp),
+            )
         else:
             p, dp = at_turn, jnp.zeros_like(at_turn)  # without a stroke nothing else ends it
         z_1 = z_e + p
-        u_1 = jnp.where(event == TURN, v_p, jnp.where(event == HALT, 0.0, v_p - dp))
-        peak = self._peak(rig, osc, z_e, xi, w, dw, turn, dt, (p, dp))
+        u_1 = jnp.where(event == Event.TURN, v_p, jnp.where(event == Event.HALT, 0.0, v_p - dp))
+        peak = self._find_peak(rig, osc, z_e, xi, w, dw, turn, dt, (p, dp))
         return Leg(dt, event, z_1, u_1, 0.0, peak)
 
-    def _peak(self, rig, osc, z_e, xi, w, dw, turn, dt, end):
+    def _find_peak(self, rig, osc, z_e, xi, w, dw, turn, dt, end):
         """Largest contact force of a closing: the force obeys the same oscillator."""
         k = _slope(lambda z: rig.contact.approach(z, 0.0))
         b = _slope(lambda w: rig.contact.approach(0.0, w))
@@ -135,7 +148,14 @@ class ClosedForm(eqx.Module):
         at_end = jnp.where(jnp.isinf(dt), 0.0, k * end[0] + b * end[1])
         return N_e + jnp.where(inside, summit, jnp.where(at_end > N, at_end, N))
 
-    def rebounding(self, rig, z, u, v_p, left):
+    def rebounding(
+        self,
+        rig: Rig,
+        z: Float[Array, ""],
+        u: Float[Array, ""],
+        v_p: Float[Array, ""],
+        left: Float[Array, ""],
+    ) -> Leg:
         """The part recedes from the tip, until release, w = 0 or the pusher's stop."""
         osc, z_e = _oscillator(rig.rebounding, v_p)
         xi, w = z - z_e, v_p - u
@@ -149,46 +169,64 @@ class ClosedForm(eqx.Module):
         upto = jnp.where(leaves, t_turn, 0.0)
         parting = falling_root(_compression, args, 0.0, upto, guess, 1)
         release = jnp.where(leaves, parting, jnp.inf)
-        ends = (release, RELEASE), (jnp.where(leaves, jnp.inf, turn), TURN)
+        ends = (release, Event.RELEASE), (jnp.where(leaves, jnp.inf, turn), Event.TURN)
         if rig.pusher.stroke is None:  # no stop: what the root was found with serves again
             dt, event = first_event(*ends)
             p, dp = osc.flow(xi, w, parting)
         else:
-            dt, event = first_event((left, STOP), *ends)
+            dt, event = first_event((left, Event.STOP), *ends)
             p, dp = osc.flow(xi, w, _finite(dt))
-        p = jnp.where(event == TURN, -depth, p)
-        z_1 = jnp.where(event == RELEASE, 0.0, z_e + p)
-        u_1 = jnp.where(event == TURN, v_p, v_p - dp)
+        p = jnp.where(event == Event.TURN, -depth, p)
+        z_1 = jnp.where(event == Event.RELEASE, 0.0, z_e + p)
+        u_1 = jnp.where(event == Event.TURN, v_p, v_p - dp)
         return Leg(dt, event, z_1, u_1, 0.0, 0.0)
 
-    def free(self, rig, z, u, v_p, left, may_catch):
+    def free(
+        self,
+        rig: Rig,
+        z: Float[Array, ""],
+        u: Float[Array, ""],
+        v_p: Float[Array, ""],
+        left: Float[Array, ""],
+        may_catch: bool,
+    ) -> Leg:
         """The part slides without contact, until rest, the pusher's stop or the next contact."""
         slide = _slide(rig)
         t_rest, s_rest = slide.rest(u)
         if not may_catch:
-            return Leg(t_rest, jnp.full_like(left, HALT, int), z - s_rest, 0.0, s_rest, 0.0)
+            return Leg(t_rest, jnp.full_like(left, Event.HALT, int), z - s_rest, 0.0, s_rest, 0.0)
         horizon = jnp.minimum(t_rest, left)
         args = (*slide, u, -z, v_p)
         caught = (v_p > 0) & (z <= 0) & (_gap(horizon, args)[0] <= 0)
         # The gap is concave: it grows until u = v_p, and falls ever faster from there.
         level = slide.drag + slide.rate * v_p
-        since = jnp.where(caught & (u > v_p), Slide(level, slide.rate).rest(u - v_p)[0], 0.0)
+        since = jnp.where(caught & (u > v_p), ViscousSlide(level, slide.rate).rest(u - v_p)[0], 0.0)
         upto = jnp.where(caught, horizon, 0.0)
         catch = jnp.where(caught, falling_root(_gap, args, since, upto, upto), jnp.inf)
-        dt, event = first_event((left, STOP), (catch, CATCH), (t_rest, HALT))
+        dt, event = first_event((left, Event.STOP), (catch, Event.CATCH), (t_rest, Event.HALT))
         s, u_1 = slide.flow(u, dt)
-        s = jnp.where(event == HALT, s_rest, s)
-        z_1 = jnp.where(event == CATCH, 0.0, z + v_p * dt - s)
-        return Leg(dt, event, z_1, jnp.where(event == HALT, 0.0, u_1), s, 0.0)
+        s = jnp.where(event == Event.HALT, s_rest, s)
+        z_1 = jnp.where(event == Event.CATCH, 0.0, z + v_p * dt - s)
+        return Leg(dt, event, z_1, jnp.where(event == Event.HALT, 0.0, u_1), s, 0.0)
 
-    def pushed_state(self, rig, closing, z, u, v_p, t):
+    def evaluate_pushed(
+        self,
+        rig: Rig,
+        closing: Bool[Array, ""],
+        z: Float[Array, ""],
+        u: Float[Array, ""],
+        v_p: Float[Array, ""],
+        t: Float[Array, ""],
+    ) -> tuple[Array, Array]:
         """(z, u) at the time t into a pushed leg; the oscillator is chosen, not its solution."""
         legs = _oscillator(rig.approaching, v_p), _oscillator(rig.rebounding, v_p)
         osc, z_e = jax.tree.map(lambda a, b: jnp.where(closing, a, b), *legs)
         p, dp = osc.flow(z - z_e, v_p - u, t)
         return z_e + p, v_p - dp
 
-    def free_state(self, rig, u, t):
+    def evaluate_free(
+        self, rig: Rig, u: Float[Array, ""], t: Float[Array, ""]
+    ) -> tuple[Array, Array]:
         """(distance, u) at the time t into a free leg."""
         return _slide(rig).flow(u, t)
 

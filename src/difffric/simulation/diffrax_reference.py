@@ -1,4 +1,8 @@
-"""The integrator for any smooth laws: legs of a push in diffrax's Runge-Kutta steps.
+"""The slow reference for any smooth laws: legs of a push in diffrax's Runge-Kutta steps.
+
+Tests hold the fast integrators against it. diffrax has the methods and their step control; loop and
+events stand here, as `diffrax.Event` knows neither a bracket around an event's root nor the order
+of two events within one step.
 
 A leg is followed step by step in one smooth right-hand side. A step at whose end an event has
 passed is the last. The event's time is the bracketed root over that step's own length, the
@@ -15,84 +19,76 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import Array
 from jax.lax import stop_gradient
+from jaxtyping import Array, Bool, Float
 
 from difffric.compute.event_root import falling_root
 from difffric.compute.pytrees import select
+from difffric.compute.smooth_extension import extend_odd
 from difffric.errors import InputError
 from difffric.rig.rig import Rig
-from difffric.simulation.leg import CATCH, HALT, NONE, RELEASE, STOP, TURN, Leg, first_event
+from difffric.simulation.dynamics import LARGEST_COMPRESSION, find_compression
+from difffric.simulation.events import Event
+from difffric.simulation.leg import Leg, first_event
 from difffric.units import GRAVITY
 
-_SUMMIT = -1  # beside the events of `legs`: where the contact force is highest
-_TINY = 1e-30  # [m], [m/s]: keeps a power law's second derivative finite at zero
-_SMALLEST, _LARGEST = 1e-9, 1e3  # [m]: the compressions between which a force is looked for
 
-
-def _odd(law, x):
-    """`law(x)`, continued to x < 0 by reflection through its value at zero.
-
-    A step may look beyond the domain before its event is found there. Continued so, an affine
-    law stays affine, any law stays smooth once, and a power law gives no NaN.
-    """
-    force = law(jnp.where(x < 0, -x, x) + _TINY)
-    return jnp.where(x < 0, 2 * law(_TINY) - force, force)
-
-
-class _Motion(eqx.Module):
+class _ScaledMotion(eqx.Module):
     """The right-hand side of one mode, in scaled states y = (z / z_0, u / u_0).
 
     z_0 [m] is about the compression under the part's own weight, u_0 = sqrt(z_0 g) [m/s].
     """
 
     rig: Rig
-    v_p: Array
+    v_p: Float[Array, ""] | float
     scale: Array
     mode: str = eqx.field(static=True)
 
     @classmethod
-    def of(cls, rig, mode, v_p):
-        """The motion of a rig in a mode: "approach", "rebound" or "free"."""
-        z_0 = stop_gradient(_reach(rig.contact, 0.0, rig.F_N))
+    def of(cls, rig: Rig, mode: str, v_p: Float[Array, ""] | float) -> _ScaledMotion:
+        """The motion of a rig in a mode: "approach", "rebound" or "free", the tip's speed v_p
+        [m/s]."""
+        z_0 = stop_gradient(find_compression(lambda z: rig.contact.approach(z, 0.0), rig.F_N))
         return cls(rig, v_p, jnp.stack([z_0, jnp.sqrt(z_0 * GRAVITY)]), mode)
 
-    def scaled(self, z, u):
+    def scale_state(self, z, u):
         return jnp.stack(jnp.broadcast_arrays(z, u)) / self.scale
 
-    def state(self, y):
+    def unscale_state(self, y):
         """(z [m], u [m/s])."""
         z, u = y * self.scale
         return z, u
 
     def __call__(self, y):
         """y' [1/s]: equation (2), each law continued beyond its domain."""
-        z, u = self.state(y)
+        z, u = self.unscale_state(y)
         w = self.v_p - u
         free, approach, rebound = self.rig.free, self.rig.approaching, self.rig.rebounding
         if self.mode == "free":
-            return self.scaled(w, _odd(free, u))
+            return self.scale_state(w, extend_odd(free, u))
         pushed = approach if self.mode == "approach" else rebound
-        return self.scaled(w, _odd(lambda u: _odd(lambda z: pushed(z, w, u), z), u))
+        return self.scale_state(
+            w, extend_odd(lambda u: extend_odd(lambda z: pushed(z, w, u), z), u)
+        )
 
     def force(self, y):
         """Contact force of an approach [N], and its rate [N/s]."""
 
         def N(y):
-            z, u = self.state(y)
-            return _odd(lambda z: self.rig.contact.approach(z, self.v_p - u), z)
+            z, u = self.unscale_state(y)
+            return extend_odd(lambda z: self.rig.contact.approach(z, self.v_p - u), z)
 
         return jax.jvp(N, (y,), (self(y),))
 
     def before(self, event, y):
         """What falls to zero where an event is; scaled."""
         z, u = y
-        if event == TURN:
+        if event == Event.TURN:
             w = self.v_p / self.scale[1] - u
             return w if self.mode == "approach" else -w
-        if event == _SUMMIT:
+        if event == Event.FORCE_PEAK:
             return self.force(y)[1] * self.time / self.rig.F_N
-        return {HALT: u, RELEASE: z, CATCH: -z}[event]
+        return {Event.HALT: u, Event.RELEASE: z, Event.CATCH: -z}[event]
 
     @property
     def time(self):
@@ -116,7 +112,7 @@ class _Motion(eqx.Module):
         return jnp.where(dips, bottom, h)
 
 
-class _Step(NamedTuple):
+class _LegStep(NamedTuple):
     """A step: the time [s] and the state it starts from, its length [s]."""
 
     t: Array
@@ -124,15 +120,15 @@ class _Step(NamedTuple):
     h: Array
 
 
-class _March(NamedTuple):
+class _LegProgress(NamedTuple):
     """How far a leg has been followed: its last step, where that led, how it goes on."""
 
-    last: _Step
+    last: _LegStep
     t: Array
     y: Array
     h: Array
     controller: Any
-    summit: _Step
+    summit: _LegStep
     """the step across the highest interior maximum of the force"""
     height: Array
     """that maximum, roughly [N]"""
@@ -158,7 +154,7 @@ class Diffrax(eqx.Module):
     max_steps: int = eqx.field(default=20_000, static=True)
     horizon: float = eqx.field(default=5.0, static=True)
 
-    def check(self, rig: Rig):
+    def check(self, rig: Rig) -> None:
         """Raise `InputError` where this cannot integrate; there is no rig that it cannot."""
         if not isinstance(self.solver, diffrax.AbstractERK):
             raise InputError(
@@ -166,7 +162,7 @@ class Diffrax(eqx.Module):
                 f"diffrax.Tsit5(), not {type(self.solver).__name__}"
             )
 
-    def breakaway(self, rig, v_p):
+    def breakaway(self, rig: Rig, v_p: Float[Array, ""]) -> Float[Array, ""]:
         """Compression [m] at which a part at rest starts to slide; 0: at once."""
         F_S = rig.friction.breakaway(rig.F_N)
         dynamic, static = eqx.partition((rig.contact, v_p, F_S), _is_number)
@@ -177,74 +173,110 @@ class Diffrax(eqx.Module):
             return F_S - N, -slope
 
         sticks = rig.contact.approach(0.0, v_p) < F_S
-        far = stop_gradient(jnp.where(sticks, _reach(rig.contact, v_p, F_S), 0.0))
+        enough = find_compression(lambda z: rig.contact.approach(z, v_p), F_S)
+        far = stop_gradient(jnp.where(sticks, enough, 0.0))
         z = falling_root(lack, dynamic, 0.0, far, 0.5 * far)
-        return jnp.where(sticks, jnp.where(far < _LARGEST, z, jnp.inf), 0.0)
+        return jnp.where(sticks, jnp.where(far < LARGEST_COMPRESSION, z, jnp.inf), 0.0)
 
-    def closing(self, rig, z, u, v_p, left, may_halt):
+    def closing(
+        self,
+        rig: Rig,
+        z: Float[Array, ""],
+        u: Float[Array, ""],
+        v_p: Float[Array, ""],
+        left: Float[Array, ""],
+        may_halt: bool,
+    ) -> Leg:
         """The tip closes in on the part, until w = 0, the part halts or the pusher stops."""
-        motion = _Motion.of(rig, "approach", v_p)
-        y = motion.scaled(z, u)
-        march = self._march(motion, y, left, (TURN, HALT) if may_halt else (TURN,))
-        turn = self._passed(motion, TURN, march)
-        halt = self._passed(motion, HALT, march) if may_halt else jnp.inf
-        dt, event = first_event((left, STOP), (turn, TURN), (halt, HALT))
-        y_1 = self._state(motion, march, dt)
-        z_1, u_1 = motion.state(y_1)
-        u_1 = jnp.where(event == TURN, v_p, jnp.where(event == HALT, 0.0, u_1))
-        top, rises = march.summit, jnp.isfinite(march.height)
-        h = self._root(motion, _SUMMIT, top, rises, top.h)
+        motion = _ScaledMotion.of(rig, "approach", v_p)
+        y = motion.scale_state(z, u)
+        progress = self._follow_leg(
+            motion, y, left, (Event.TURN, Event.HALT) if may_halt else (Event.TURN,)
+        )
+        turn = self._find_time(motion, Event.TURN, progress)
+        halt = self._find_time(motion, Event.HALT, progress) if may_halt else jnp.inf
+        dt, event = first_event((left, Event.STOP), (turn, Event.TURN), (halt, Event.HALT))
+        y_1 = self._state(motion, progress, dt)
+        z_1, u_1 = motion.unscale_state(y_1)
+        u_1 = jnp.where(event == Event.TURN, v_p, jnp.where(event == Event.HALT, 0.0, u_1))
+        top, rises = progress.summit, jnp.isfinite(progress.height)
+        h = self._root(motion, Event.FORCE_PEAK, top, rises, top.h)
         y_top = self._flow(motion, top.y, jnp.where(rises, h, 0.0))
         N_0, N_1, N_top = (motion.force(y)[0] for y in (y, y_1, y_top))
         peak = jnp.where(N_1 > N_0, N_1, N_0)
         peak = jnp.where((top.t + h <= dt) & (N_top > peak), N_top, peak)
-        return self._checked(march, Leg(dt, event, z_1, u_1, 0.0, peak))
+        return self._check_leg(progress, Leg(dt, event, z_1, u_1, 0.0, peak))
 
-    def rebounding(self, rig, z, u, v_p, left):
+    def rebounding(
+        self,
+        rig: Rig,
+        z: Float[Array, ""],
+        u: Float[Array, ""],
+        v_p: Float[Array, ""],
+        left: Float[Array, ""],
+    ) -> Leg:
         """The part recedes from the tip, until release, w = 0 or the pusher's stop."""
-        motion = _Motion.of(rig, "rebound", v_p)
-        march = self._march(motion, motion.scaled(z, u), left, (RELEASE, TURN))
-        turn = self._passed(motion, TURN, march)
+        motion = _ScaledMotion.of(rig, "rebound", v_p)
+        progress = self._follow_leg(
+            motion, motion.scale_state(z, u), left, (Event.RELEASE, Event.TURN)
+        )
+        turn = self._find_time(motion, Event.TURN, progress)
         turns = jnp.isfinite(turn)
         # z is least where the part turns: whether it leaves the tip is decided there.
-        least = jnp.where(turns, self._state(motion, march, turn), march.y)
-        leaves = (motion.before(RELEASE, least) <= 0) & ~march.steady
-        upto = jnp.where(turns, turn - march.last.t, march.last.h)
-        release = march.last.t + self._root(motion, RELEASE, march.last, leaves, upto)
+        least = jnp.where(turns, self._state(motion, progress, turn), progress.y)
+        leaves = (motion.before(Event.RELEASE, least) <= 0) & ~progress.steady
+        upto = jnp.where(turns, turn - progress.last.t, progress.last.h)
+        release = progress.last.t + self._root(motion, Event.RELEASE, progress.last, leaves, upto)
         turn = jnp.where(leaves, jnp.inf, turn)
-        dt, event = first_event((left, STOP), (release, RELEASE), (turn, TURN))
-        z_1, u_1 = motion.state(self._state(motion, march, dt))
-        z_1 = jnp.where(event == RELEASE, 0.0, z_1)
-        u_1 = jnp.where(event == TURN, v_p, u_1)
-        return self._checked(march, Leg(dt, event, z_1, u_1, 0.0, 0.0))
+        dt, event = first_event((left, Event.STOP), (release, Event.RELEASE), (turn, Event.TURN))
+        z_1, u_1 = motion.unscale_state(self._state(motion, progress, dt))
+        z_1 = jnp.where(event == Event.RELEASE, 0.0, z_1)
+        u_1 = jnp.where(event == Event.TURN, v_p, u_1)
+        return self._check_leg(progress, Leg(dt, event, z_1, u_1, 0.0, 0.0))
 
-    def free(self, rig, z, u, v_p, left, may_catch):
+    def free(
+        self,
+        rig: Rig,
+        z: Float[Array, ""],
+        u: Float[Array, ""],
+        v_p: Float[Array, ""],
+        left: Float[Array, ""],
+        may_catch: bool,
+    ) -> Leg:
         """The part slides without contact, until rest, the pusher's stop or the next contact.
 
         Where none of these comes within the horizon, the distance is NaN.
         """
         if not may_catch:
-            v_p, left = 0.0 * v_p, jnp.inf
-        motion = _Motion.of(rig, "free", v_p)
-        guards = (HALT, CATCH) if may_catch else (HALT,)
-        march = self._march(motion, motion.scaled(z, u), left, guards)
-        rest = self._passed(motion, HALT, march)
-        catch = self._passed(motion, CATCH, march) if may_catch else jnp.inf
-        dt, event = first_event((left, STOP), (catch, CATCH), (rest, HALT))
-        z_1, u_1 = motion.state(self._state(motion, march, dt))
-        slid = jnp.where(event == NONE, jnp.nan, v_p * dt + z - z_1)
-        z_1 = jnp.where(event == CATCH, 0.0, z_1)
-        u_1 = jnp.where(event == HALT, 0.0, u_1)
-        return self._checked(march, Leg(dt, event, z_1, u_1, slid, 0.0))
+            v_p, left = 0.0 * v_p, jnp.asarray(jnp.inf)
+        motion = _ScaledMotion.of(rig, "free", v_p)
+        guards = (Event.HALT, Event.CATCH) if may_catch else (Event.HALT,)
+        progress = self._follow_leg(motion, motion.scale_state(z, u), left, guards)
+        rest = self._find_time(motion, Event.HALT, progress)
+        catch = self._find_time(motion, Event.CATCH, progress) if may_catch else jnp.inf
+        dt, event = first_event((left, Event.STOP), (catch, Event.CATCH), (rest, Event.HALT))
+        z_1, u_1 = motion.unscale_state(self._state(motion, progress, dt))
+        slid = jnp.where(event == Event.NONE, jnp.nan, v_p * dt + z - z_1)
+        z_1 = jnp.where(event == Event.CATCH, 0.0, z_1)
+        u_1 = jnp.where(event == Event.HALT, 0.0, u_1)
+        return self._check_leg(progress, Leg(dt, event, z_1, u_1, slid, 0.0))
 
-    def pushed_state(self, rig, closing, z, u, v_p, t):
+    def evaluate_pushed(
+        self,
+        rig: Rig,
+        closing: Bool[Array, ""],
+        z: Float[Array, ""],
+        u: Float[Array, ""],
+        v_p: Float[Array, ""],
+        t: Float[Array, ""],
+    ) -> tuple[Array, Array]:
         """(z, u) at the time t into a pushed leg."""
         closing = jnp.asarray(closing)
 
         def at(mode, t):
-            motion = _Motion.of(rig, mode, v_p)
-            march = self._march(motion, motion.scaled(z, u), t, ())
-            return motion.state(self._state(motion, march, t))
+            motion = _ScaledMotion.of(rig, mode, v_p)
+            progress = self._follow_leg(motion, motion.scale_state(z, u), t, ())
+            return motion.unscale_state(self._state(motion, progress, t))
 
         here, there = (
             at("approach", jnp.where(closing, t, 0.0)),
@@ -252,26 +284,28 @@ class Diffrax(eqx.Module):
         )
         return jax.tree.map(lambda a, b: jnp.where(closing, a, b), here, there)
 
-    def free_state(self, rig, u, t):
+    def evaluate_free(
+        self, rig: Rig, u: Float[Array, ""], t: Float[Array, ""]
+    ) -> tuple[Array, Array]:
         """(distance, u) at the time t into a free leg."""
-        motion = _Motion.of(rig, "free", 0.0)
-        march = self._march(motion, motion.scaled(0.0, u), t, ())
-        z_1, u_1 = motion.state(self._state(motion, march, t))
+        motion = _ScaledMotion.of(rig, "free", 0.0)
+        progress = self._follow_leg(motion, motion.scale_state(0.0, u), t, ())
+        z_1, u_1 = motion.unscale_state(self._state(motion, progress, t))
         return -z_1, u_1
 
-    def _march(self, motion, y, left, guards) -> _March:
+    def _follow_leg(self, motion, y, left, guards) -> _LegProgress:
         """Step until a guard has passed, for the time `left` [s] or, if endless, the horizon."""
         until = stop_gradient(jnp.where(jnp.isfinite(left), left, self.horizon))
         controller = diffrax.PIDController(self.rtol, self.atol)
         order = self.solver.error_order(_terms(motion))
         assert order is not None
-        may_dip = motion.mode == "approach" and HALT in guards
+        may_dip = motion.mode == "approach" and Event.HALT in guards
         may_peak = motion.mode == "approach" and bool(guards)
 
         def is_steady(y):
             return bool(guards) & motion.steady(y, 10 * self.rtol)
 
-        def step(m: _March):
+        def step(m: _LegProgress):
             h = jnp.minimum(m.h, until - m.t)
             y, error = self._step(motion, m.y, h)
             y_0, y_1, error = stop_gradient((m.y, y, error))
@@ -286,7 +320,7 @@ class Diffrax(eqx.Module):
             lost = ~jnp.isfinite(next_h)
             m = m._replace(h=next_h, controller=state, over=lost, count=m.count + 1)
             t = jnp.where(h >= until - m.t, until, m.t + h)
-            new = m._replace(last=_Step(m.t, m.y, h), t=t, y=y, steady=is_steady(y_1))
+            new = m._replace(last=_LegStep(m.t, m.y, h), t=t, y=y, steady=is_steady(y_1))
             if may_peak:
                 (N_0, dN_0), (N_1, dN_1) = motion.force(y_0), motion.force(y_1)
                 height = jnp.maximum(N_0, N_1)
@@ -303,8 +337,10 @@ class Diffrax(eqx.Module):
         h, zero = 0.02 * motion.time, jnp.zeros(())
         state = controller.init(_terms(motion), 0.0, h, y, h, None, self.solver.func, order)[1]
         state = jax.tree.map(jnp.asarray, state)
-        here = _Step(zero, y, zero)
-        start = _March(here, zero, y, h, state, here, zero - jnp.inf, steady, over, jnp.asarray(0))
+        here = _LegStep(zero, y, zero)
+        start = _LegProgress(
+            here, zero, y, h, state, here, zero - jnp.inf, steady, over, jnp.asarray(0)
+        )
         return jax.lax.while_loop(lambda m: ~m.over & (m.count < self.max_steps), step, start)
 
     def _step(self, motion, y, h):
@@ -312,13 +348,13 @@ class Diffrax(eqx.Module):
         tableau = self.solver.tableau
         assert isinstance(tableau, diffrax.ButcherTableau)
 
-        def weighted(weights):
+        def weigh(weights):
             return h * sum(float(a) * rate for a, rate in zip(weights, rates, strict=False) if a)
 
         rates = [motion(y)]
         for row in tableau.a_lower:
-            rates.append(motion(y + weighted(row)))
-        return y + weighted(tableau.b_sol), weighted(tableau.b_error)
+            rates.append(motion(y + weigh(row)))
+        return y + weigh(tableau.b_sol), weigh(tableau.b_error)
 
     def _flow(self, motion, y, h):
         """The state after the same step, by diffrax's loop over the stages: compiles sooner."""
@@ -345,34 +381,25 @@ class Diffrax(eqx.Module):
         h = falling_root(value_and_slope, dynamic, 0.0, upto, 0.7 * upto)
         return jnp.where(passed, h, jnp.inf)
 
-    def _passed(self, motion, event, march):
+    def _find_time(self, motion, event, progress):
         """When an event came in a leg's last step [s]; infinite if it did not."""
-        passed = (motion.before(event, march.y) <= 0) & ~march.steady
-        return march.last.t + self._root(motion, event, march.last, passed, march.last.h)
+        passed = (motion.before(event, progress.y) <= 0) & ~progress.steady
+        return progress.last.t + self._root(motion, event, progress.last, passed, progress.last.h)
 
-    def _state(self, motion, march, t):
+    def _state(self, motion, progress, t):
         """The state at the time t [s] within the last step; the last one known beyond."""
-        beyond = march.steady | ~jnp.isfinite(t)
-        h = jnp.where(beyond, 0.0, t - march.last.t)
-        return jnp.where(beyond, march.y, self._flow(motion, march.last.y, h))
+        beyond = progress.steady | ~jnp.isfinite(t)
+        h = jnp.where(beyond, 0.0, t - progress.last.t)
+        return jnp.where(beyond, progress.y, self._flow(motion, progress.last.y, h))
 
-    def _checked(self, march, leg):
+    def _check_leg(self, progress, leg):
         """The leg; where it could not be followed to its end, NaN and an infinite peak."""
-        lost = Leg(jnp.nan, NONE, jnp.nan, jnp.nan, slid=jnp.nan, peak=jnp.inf)
-        return select(~march.over | ~jnp.isfinite(march.h), lost, leg)
+        lost = Leg(jnp.nan, Event.NONE, jnp.nan, jnp.nan, slid=jnp.nan, peak=jnp.inf)
+        return select(~progress.over | ~jnp.isfinite(progress.h), lost, leg)
 
 
 def _terms(motion):
     return diffrax.ODETerm(lambda t, y, args: motion(y))
-
-
-def _reach(contact, v_p, force):
-    """A compression [m] that carries a force [N]: at most four times the least that does."""
-
-    def short(z):
-        return (contact.approach(z, v_p) < force) & (z < _LARGEST)
-
-    return jax.lax.while_loop(short, lambda z: 4 * z, jnp.asarray(_SMALLEST))
 
 
 def _is_number(leaf):

@@ -1,4 +1,4 @@
-"""Curve families of the model over speed and mu_s (Figures II.5 and II.6), and their fits."""
+"""Curve families of the model over speed and mu_s (Figures II.5 and II.6)."""
 
 from __future__ import annotations
 
@@ -7,31 +7,36 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import ArrayLike, Float, Int
 from numpy.typing import NDArray
 
 from difffric.compute import pytrees
 from difffric.compute.xla_options import soon_compiled
-from difffric.identification.surrogates import DistanceSurrogate, ForceSurrogate
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
 from difffric.simulation.observables import observe
+from difffric.simulation.segments import Integrator
 from difffric.units import from_mm_min
 
 SPEEDS_MM_MIN = np.linspace(500.0, 5000.0, 19)
+"""The speeds of the paper's experiments."""
 MU_S = np.linspace(0.05, 0.30, 26)
 """The range over which (7)'s ranges are taken."""
 
 
 @dataclass(frozen=True)
 class Family:
-    """F_p [N] and d [m] on a grid, one row a speed [m/s], one column a mu_s; NaN where d does
-    not exist."""
+    """F_p and d on a grid, one row a speed, one column a mu_s."""
 
-    velocity: NDArray
-    mu_s: NDArray
-    peak_force: NDArray
-    sliding_distance: NDArray
-    regime: NDArray
+    velocity: Float[NDArray, " speeds"]
+    """[m/s]"""
+    mu_s: Float[NDArray, " frictions"]
+    peak_force: Float[NDArray, "speeds frictions"]
+    """F_p [N]"""
+    sliding_distance: Float[NDArray, "speeds frictions"]
+    """d [m]; NaN where it does not exist"""
+    regime: Int[NDArray, "speeds frictions"]
+    """codes of `events.Regime`"""
 
     @property
     def range_ratio(self) -> float:
@@ -39,18 +44,8 @@ class Family:
         return float(np.ptp(self.peak_force) / self._range_d)
 
     @property
-    def _range_d(self):
+    def _range_d(self) -> float:
         return np.nanmax(self.sliding_distance) - np.nanmin(self.sliding_distance)
-
-    def force_fit(self) -> ForceSurrogate:
-        """Equation (3) fitted to this family."""
-        v, mu = np.meshgrid(self.velocity, self.mu_s, indexing="ij")
-        return ForceSurrogate.fitted(v, mu, self.peak_force)
-
-    def distance_fit(self) -> DistanceSurrogate:
-        """Equation (5) fitted to this family."""
-        v, mu = np.meshgrid(self.velocity, self.mu_s, indexing="ij")
-        return DistanceSurrogate.fitted(v, mu, self.sliding_distance)
 
 
 @soon_compiled
@@ -63,9 +58,17 @@ def _grid(rig, velocity, mu_s, integrator):
     return jax.vmap(over_mu, in_axes=(0, None))(velocity, mu_s)
 
 
-def family(rig: Rig, velocity=None, mu_s=None, integrator=None) -> Family:
+def family(
+    rig: Rig,
+    velocity: Float[ArrayLike, " speeds"] | None = None,
+    mu_s: Float[ArrayLike, " frictions"] | None = None,
+    integrator: Integrator | None = None,
+) -> Family:
     """The family over `velocity` [m/s] and `mu_s`; by default the range of the paper's
-    experiments, 500-5000 mm/min and mu_s 0.05-0.30."""
+    experiments, 500-5000 mm/min and mu_s 0.05-0.30.
+
+    `identification.surrogates` fits equations (3) and (5) to it.
+    """
     velocity = from_mm_min(SPEEDS_MM_MIN) if velocity is None else np.asarray(velocity, float)
     mu_s = MU_S if mu_s is None else np.asarray(mu_s, float)
     F, d, regime = _grid(

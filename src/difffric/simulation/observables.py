@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from difffric.compute import pytrees
 from difffric.compute.program_cache import kept
 from difffric.rig.rig import Rig
-from difffric.simulation import segments as sim
+from difffric.simulation.events import MAX_CONTACTS, MAX_CYCLES, Reason, Regime
+from difffric.simulation.segments import Integrator, Push, State
 from difffric.simulation.stepping.integrator import RungeKutta
-from difffric.simulation.stepping.loop import Marcher
-from difffric.simulation.stepping.state import March
+from difffric.simulation.stepping.loop import StepLoop
+from difffric.simulation.stepping.state import LoopState
 
 
 class Observables(NamedTuple):
@@ -51,60 +52,62 @@ def _first_of(cases, otherwise) -> Any:
     return value
 
 
-def observe(rig: Rig, velocity, integrator: sim.Integrator | None = None) -> Observables:
+def observe(rig: Rig, velocity, integrator: Integrator | None = None) -> Observables:
     """F_p [N] and d [m] of one push at `velocity` [m/s]; the stroke is the rig's pusher's.
 
     Pure, compiled once for all rigs of a kind: vmap and differentiate it (forward mode), and
     jit what is built on it, as you like.
     """
-    push = sim.Push.of(rig, velocity, integrator)
+    push = Push.of(rig, velocity, integrator)
     return _observed(pytrees.as_arrays(push))
 
 
 @kept
-def _observed(push: sim.Push) -> Observables:
+def _observed(push: Push) -> Observables:
     if isinstance(push.integrator, RungeKutta):
-        marcher = push.integrator.marcher(push.rig, push.velocity)
-        return marched(marcher, marcher.last())
-    return observables(push, push.last_state())
+        loop = push.integrator.build_loop(push.rig, push.velocity)
+        return observe_steps(loop, loop.run())
+    return observe_segments(push, push.last_state())
 
 
-def marched(marcher: Marcher, m: March) -> Observables:
-    """Read F_p, d and the regime off the end of a march."""
-    rig, c = marcher.motion.rig, m.course
-    too_many = m.contacts > sim.MAX_CONTACTS
+def observe_steps(loop: StepLoop, m: LoopState) -> Observables:
+    """F_p, d and the regime, read off the end of a push that was followed step by step."""
+    rig, c = loop.motion.rig, m.course
+    too_many = m.contacts > MAX_CONTACTS
     lost_track = m.lost_track | ~m.over | ~jnp.isfinite(m.peak)
     for_ever = m.endless & ~c.stopped
     left = m.lost & ~c.touching
     reason = _first_of(
         [
-            (too_many, sim.TOO_MANY_CONTACTS),
-            (lost_track, sim.NOT_FOLLOWED),
-            (for_ever, sim.NEVER_RELEASED),
-            (~left, sim.RESTS_IN_CONTACT),
+            (too_many, Reason.TOO_MANY_CONTACTS),
+            (lost_track, Reason.NOT_FOLLOWED),
+            (for_ever, Reason.NEVER_RELEASED),
+            (~left, Reason.RESTS_IN_CONTACT),
         ],
-        sim.OK,
+        Reason.OK,
     )
     regime = _first_of(
         [
-            (~c.moved, sim.NO_MOTION),
-            (~left, sim.PUSHED_TO_REST),
-            (m.lost_moving, sim.RELEASED_BY_REBOUND),
+            (~c.moved, Regime.NO_MOTION),
+            (~left, Regime.PUSHED_TO_REST),
+            (m.lost_moving, Regime.RELEASED_BY_REBOUND),
         ],
-        sim.RELEASED_AT_STOP,
+        Regime.RELEASED_AT_STOP,
     )
     sensor, probe = rig.force_sensor, rig.probe
     peak = m.sensed.peak if m.sensed and (sensor.filtered or sensor.sampled) else m.peak
-    x, x_lost = marcher.motion.position(m.s), m.x_lost
-    if marcher.motion.bristles is not None:
+    x, x_lost = loop.motion.position(m.s), m.x_lost
+    if loop.motion.bristles is not None:
         # Let go, the bristles stand upright, but for what holds the part on a slope.
-        x = x - m.s.q - rig.slope / marcher.motion.bristles.stiffness
+        x = x - m.s.q - rig.slope / loop.motion.bristles.stiffness
     if m.sensed and probe.late:
         x_lost = jnp.where(m.sensed.crossed, m.sensed.x_lost, x_lost)
     no_end = too_many | lost_track | for_ever | m.endless
     return Observables(
         peak_force=jnp.where(too_many | lost_track, jnp.nan, sensor.read(peak)),
-        sliding_distance=jnp.where(reason != sim.OK, jnp.nan, probe.read(x) - probe.read(x_lost)),
+        sliding_distance=jnp.where(
+            reason != Reason.OK, jnp.nan, probe.read(x) - probe.read(x_lost)
+        ),
         reason=reason,
         regime=regime,
         stuck_first=m.stuck_first,
@@ -127,32 +130,32 @@ def regime_of(kind: NDArray) -> NDArray:
     return (np.asarray(kind) >> 30) % 4
 
 
-def observables(push: sim.Push, state: sim.State) -> Observables:
-    """Read F_p, d and the regime off the last state of a push."""
-    too_many = state.contacts > sim.MAX_CONTACTS
-    too_long = state.cycles >= sim.MAX_CYCLES
+def observe_segments(push: Push, state: State) -> Observables:
+    """F_p, d and the regime, read off the last state of a push in segments."""
+    too_many = state.contacts > MAX_CONTACTS
+    too_long = state.cycles >= MAX_CYCLES
     lost_track = ~jnp.isfinite(state.peak)
     left = state.lost & ~state.in_contact
     # Behind a standing tip an overdamped rebound comes to rest too, if only asymptotically.
     for_ever = state.endless & (state.segment.v_p > 0)
     reason = _first_of(
         [
-            (lost_track, sim.NOT_FOLLOWED),
-            (too_many, sim.TOO_MANY_CONTACTS),
-            (too_long, sim.TOO_MANY_CYCLES),
-            (for_ever, sim.NEVER_RELEASED),
-            (~left, sim.RESTS_IN_CONTACT),
-            (state.endless, sim.NEVER_RESTS),
+            (lost_track, Reason.NOT_FOLLOWED),
+            (too_many, Reason.TOO_MANY_CONTACTS),
+            (too_long, Reason.TOO_MANY_CYCLES),
+            (for_ever, Reason.NEVER_RELEASED),
+            (~left, Reason.RESTS_IN_CONTACT),
+            (state.endless, Reason.NEVER_RESTS),
         ],
-        sim.OK,
+        Reason.OK,
     )
     regime = _first_of(
         [
-            (~state.moved, sim.NO_MOTION),
-            (~left, sim.PUSHED_TO_REST),
-            (state.lost_moving, sim.RELEASED_BY_REBOUND),
+            (~state.moved, Regime.NO_MOTION),
+            (~left, Regime.PUSHED_TO_REST),
+            (state.lost_moving, Regime.RELEASED_BY_REBOUND),
         ],
-        sim.RELEASED_AT_STOP,
+        Regime.RELEASED_AT_STOP,
     )
     counts = state.contacts, state.sticks, state.peak_contact
     peak = push.rig.force_sensor.read(state.peak)
@@ -161,7 +164,7 @@ def observables(push: sim.Push, state: sim.State) -> Observables:
     last = state.segment
     return Observables(
         peak_force=jnp.where(lost_track | too_many | too_long, jnp.nan, peak),
-        sliding_distance=jnp.where(reason != sim.OK, jnp.nan, slid),
+        sliding_distance=jnp.where(reason != Reason.OK, jnp.nan, slid),
         reason=reason,
         regime=regime,
         stuck_first=state.stuck_first,

@@ -13,10 +13,12 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jaxtyping import Array, Float
 
 from difffric.compute.elementary_functions import angle, log1p, polynomial, quotient, sin_cos
 
+# Coefficients of the series that take over where the closed forms divide by nearly nothing: of
+# sin(x)/x and cos(x) in x^2, arctan(x)/x in x^2, (1 - (1 - e^-x)/x)/x and (1 - log(1 + y)/y)/y.
 _SINE = [(-1.0) ** n / float(np.prod(np.arange(1.0, 2 * n + 2))) for n in range(8)]
 _COSINE = [(-1.0) ** n / float(np.prod(np.arange(1.0, 2 * n + 1))) for n in range(8)]
 _ARCTAN = [(-1.0) ** n / (2 * n + 1) for n in range(10)]
@@ -27,20 +29,22 @@ _BRAKE = [(-1.0) ** n / (n + 2) for n in range(14)]
 class Oscillator(NamedTuple):
     """p'' + 2 alpha p' + omega0_sq p = 0."""
 
-    alpha: Array
-    omega0_sq: Array
+    alpha: Float[Array, ""]
+    """damping [1/s]"""
+    omega0_sq: Float[Array, ""]
+    """[1/s^2]"""
 
     @property
-    def discriminant(self):
+    def discriminant(self) -> Float[Array, ""]:
         """omega0^2 - alpha^2: positive underdamped, negative overdamped [1/s^2]."""
         return self.omega0_sq - self.alpha**2
 
-    def rate(self):
+    def rate(self) -> Float[Array, ""]:
         """omega, or what takes its place overdamped [1/s]; 1 where critical."""
         D = self.discriminant
         return jnp.sqrt(jnp.where(D == 0, 1.0, jnp.abs(D)))
 
-    def basis(self, t):
+    def basis(self, t: Float[Array, ""]) -> tuple[Array, Array]:
         """exp(-alpha t) times cos(omega t) and sin(omega t)/omega, omega^2 = discriminant."""
         D, rate = self.discriminant, self.rate()
         x = D * t**2
@@ -57,13 +61,17 @@ class Oscillator(NamedTuple):
             quotient(jnp.where(over, 0.5 - 0.5 * fades, s), growth * jnp.where(small, 1.0, rate)),
         )
 
-    def flow(self, p, dp, t):
+    def flow(
+        self, p: Float[Array, ""], dp: Float[Array, ""], t: Float[Array, ""]
+    ) -> tuple[Array, Array]:
         """(p, p') after the time t [s]."""
         c, s = self.basis(t)
         q = self.alpha * dp + self.omega0_sq * p
         return p * c + (dp + self.alpha * p) * s, dp * c - q * s
 
-    def turning_time(self, p, dp, sign):
+    def turning_time(
+        self, p: Float[Array, ""], dp: Float[Array, ""], sign: float
+    ) -> Float[Array, ""]:
         """First t >= 0 with p' = 0, where sign * p' >= 0 at the start; infinite if never.
 
         With p' = 0 at the start and p on the far side (sign * p < 0) it is half a period.
@@ -85,7 +93,9 @@ class Oscillator(NamedTuple):
         near = ratio * polynomial(_ARCTAN, s)
         return quotient(jnp.where(small, near, free), jnp.where(small, 1.0, rate))
 
-    def extremum(self, p, dp, t):
+    def extremum(
+        self, p: Float[Array, ""], dp: Float[Array, ""], t: Float[Array, ""]
+    ) -> Float[Array, ""]:
         """|p| at a turning time t: omega0^2 p^2 + 2 alpha p p' + p'^2 falls as exp(-2 alpha t),
         so that no trigonometry is needed."""
         Q = self.omega0_sq * p**2 + 2 * self.alpha * p * dp + dp**2
@@ -94,14 +104,16 @@ class Oscillator(NamedTuple):
         return quotient(jnp.exp(-self.alpha * t) * root, jnp.sqrt(self.omega0_sq))
 
 
-class Slide(NamedTuple):
+class ViscousSlide(NamedTuple):
     """u' = -(drag + rate u): Coulomb and viscous friction per unit of mass."""
 
-    drag: Array
-    rate: Array
+    drag: Float[Array, ""]
+    """[m/s^2]"""
+    rate: Float[Array, ""]
+    """[1/s]"""
 
-    def flow(self, u, t):
-        """(distance, speed) after the time t [s], from the speed u."""
+    def flow(self, u: Float[Array, ""], t: Float[Array, ""]) -> tuple[Array, Array]:
+        """(distance [m], speed [m/s]) after the time t [s], from the speed u [m/s]."""
         x = self.rate * t
         small = jnp.abs(x) < 0.2
         x_l = jnp.where(small, 1.0, x)
@@ -109,8 +121,8 @@ class Slide(NamedTuple):
         two = jnp.where(small, polynomial(_DECAY, x), (x_l + jnp.expm1(-x_l)) / x_l**2)
         return t * (u * one - self.drag * t * two), u - (self.drag + self.rate * u) * t * one
 
-    def rest(self, u):
-        """(time, distance) to rest from the speed u."""
+    def rest(self, u: Float[Array, ""]) -> tuple[Array, Array]:
+        """(time [s], distance [m]) to rest from the speed u [m/s]."""
         stop = quotient(u, self.drag)
         y = self.rate * stop
         small = jnp.abs(y) < 0.1

@@ -10,87 +10,137 @@ from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from difffric.compute.precision import require_float64
 from difffric.compute.pytrees import select
 from difffric.rig.rig import Rig
 from difffric.simulation.closed_form import ClosedForm
-from difffric.simulation.dynamics import CLOSING, FREE, REBOUNDING, STUCK
-from difffric.simulation.leg import CATCH, HALT, NONE, RELEASE, STOP, TURN, Leg
+from difffric.simulation.events import MAX_CONTACTS, MAX_CYCLES, Event, Mode
+from difffric.simulation.leg import Leg
 from difffric.simulation.stepping.integrator import RungeKutta
-from difffric.simulation.stepping.transitions import MAX_CONTACTS
-
-MAX_CYCLES = 1000
-
-OK, RESTS_IN_CONTACT, NEVER_RELEASED, NEVER_RESTS, TOO_MANY_CONTACTS, TOO_MANY_CYCLES = range(6)
-NOT_FOLLOWED = 6
-REASONS = (
-    None,
-    "rests in contact",
-    "never released: without a stroke the pusher goes on for ever",
-    "never comes to rest",
-    f"more than {MAX_CONTACTS} contacts",
-    f"more than {MAX_CYCLES} cycles in contact",
-    "could not be integrated: more steps were needed than allowed, or a law gave no number",
-)
-
-NO_MOTION, PUSHED_TO_REST, RELEASED_BY_REBOUND, RELEASED_AT_STOP = range(4)
-REGIMES = ("no_motion", "pushed_to_rest", "released_by_rebound", "released_at_stop")
 
 
 class Segment(NamedTuple):
-    """The start of a segment: mode, time [s], tip [m] and its speed [m/s], compression [m],
-    the part's speed [m/s]. With these it can be evaluated at any time."""
+    """The start of a segment; with it the segment can be evaluated at any time."""
 
-    mode: Array
-    t: Array
-    y: Array
-    v_p: Array
-    z: Array
-    u: Array
+    mode: Int[Array, ""]
+    t: Float[Array, ""]
+    """time [s]"""
+    y: Float[Array, ""]
+    """the tip's travel [m]"""
+    v_p: Float[Array, ""]
+    """the tip's speed [m/s]"""
+    z: Float[Array, ""]
+    """compression [m]"""
+    u: Float[Array, ""]
+    """the part's speed [m/s]"""
 
 
 class State(NamedTuple):
     """Where a push stands: the current segment and what has been counted and measured."""
 
     segment: Segment
-    stuck_first: Array
-    contacts: Array
-    sticks: Array
+    stuck_first: Bool[Array, ""]
+    """whether static friction held the part at the start"""
+    contacts: Int[Array, ""]
+    """contacts so far, that at the start included"""
+    sticks: Int[Array, ""]
     """times that the part was held at rest"""
-    moved: Array
-    lost_moving: Array
-    """loss of contact while the pusher moved (the last one)"""
-    lost: Array
-    in_contact: Array
-    peak: Array
-    peak_contact: Array
-    """in which contact the peak fell"""
-    slid: Array
+    moved: Bool[Array, ""]
+    """whether the part has ever slid"""
+    lost_moving: Bool[Array, ""]
+    """whether contact was lost while the pusher moved, the last time"""
+    lost: Bool[Array, ""]
+    """whether contact has ever been lost"""
+    in_contact: Bool[Array, ""]
+    peak: Float[Array, ""]
+    """the largest contact force [N]"""
+    peak_contact: Int[Array, ""]
+    """the contact in which it fell"""
+    slid: Float[Array, ""]
     """distance since the last loss of contact [m]"""
-    endless: Array
-    cycles: Array
+    endless: Bool[Array, ""]
+    """whether the push goes on for ever"""
+    cycles: Int[Array, ""]
+    """turns through the modes"""
 
     @property
-    def over(self):
+    def over(self) -> Bool[Array, ""]:
         """Whether nothing more will happen (or more than is followed)."""
-        at_rest = (self.segment.mode == STUCK) & (self.segment.v_p == 0)
+        at_rest = (self.segment.mode == Mode.STUCK) & (self.segment.v_p == 0)
         too_long = (self.contacts > MAX_CONTACTS) | (self.cycles >= MAX_CYCLES)
         return at_rest | self.endless | too_long
 
 
 class Integrator(Protocol):
     """What solves the legs of a push: `ClosedForm`, or `Diffrax` as a reference. `RungeKutta`
-    follows a push by itself."""
+    follows a push by itself.
 
-    def check(self, rig: Rig) -> None: ...
-    def breakaway(self, rig: Rig, v_p) -> Array: ...
-    def closing(self, rig: Rig, z, u, v_p, left, may_halt: bool) -> Leg: ...
-    def rebounding(self, rig: Rig, z, u, v_p, left) -> Leg: ...
-    def free(self, rig: Rig, z, u, v_p, left, may_catch: bool) -> Leg: ...
-    def pushed_state(self, rig: Rig, closing, z, u, v_p, t) -> tuple[Array, Array]: ...
-    def free_state(self, rig: Rig, u, t) -> tuple[Array, Array]: ...
+    A leg starts at the compression z [m] and the part's speed u [m/s]; the tip moves at v_p [m/s],
+    for `left` [s] more (infinite without a stroke).
+    """
+
+    def check(self, rig: Rig) -> None:
+        """Raise `InputError` where it does not serve the rig."""
+        ...
+
+    def breakaway(self, rig: Rig, v_p: Float[Array, ""]) -> Float[Array, ""]:
+        """The compression [m] at which a part at rest starts to slide; 0: at once."""
+        ...
+
+    def closing(
+        self,
+        rig: Rig,
+        z: Float[Array, ""],
+        u: Float[Array, ""],
+        v_p: Float[Array, ""],
+        left: Float[Array, ""],
+        may_halt: bool,
+    ) -> Leg:
+        """The tip closes in on the part, until it turns, halts or the pusher stops."""
+        ...
+
+    def rebounding(
+        self,
+        rig: Rig,
+        z: Float[Array, ""],
+        u: Float[Array, ""],
+        v_p: Float[Array, ""],
+        left: Float[Array, ""],
+    ) -> Leg:
+        """The part recedes from the tip, until release, turn or the pusher's stop."""
+        ...
+
+    def free(
+        self,
+        rig: Rig,
+        z: Float[Array, ""],
+        u: Float[Array, ""],
+        v_p: Float[Array, ""],
+        left: Float[Array, ""],
+        may_catch: bool,
+    ) -> Leg:
+        """The part slides without contact, until rest, the pusher's stop or the next contact."""
+        ...
+
+    def evaluate_pushed(
+        self,
+        rig: Rig,
+        closing: Bool[Array, ""],
+        z: Float[Array, ""],
+        u: Float[Array, ""],
+        v_p: Float[Array, ""],
+        t: Float[Array, ""],
+    ) -> tuple[Array, Array]:
+        """(z [m], u [m/s]) at the time t [s] into a leg of closing, or else of rebounding."""
+        ...
+
+    def evaluate_free(
+        self, rig: Rig, u: Float[Array, ""], t: Float[Array, ""]
+    ) -> tuple[Array, Array]:
+        """(distance [m], u [m/s]) at the time t [s] into a free leg."""
+        ...
 
 
 def default_integrator(rig: Rig) -> Any:
@@ -102,11 +152,13 @@ class Push(NamedTuple):
     """A rig, the speed [m/s] that its pusher comes to and an integrator: what one push is of."""
 
     rig: Rig
-    velocity: Array
+    velocity: Float[Array, ""]
     integrator: Any
 
     @classmethod
-    def of(cls, rig: Rig, velocity, integrator: Integrator | None = None) -> Push:
+    def of(
+        cls, rig: Rig, velocity: Float[ArrayLike, ""], integrator: Integrator | None = None
+    ) -> Push:
         """A push at `velocity` [m/s], by the integrator that serves the rig unless given."""
         require_float64()
         chosen: Any = default_integrator(rig) if integrator is None else integrator
@@ -124,7 +176,7 @@ class Push(NamedTuple):
         no, one = jnp.asarray(False), jnp.asarray(1)
         velocity = jnp.asarray(self.velocity, float)
         return State(
-            segment=Segment(jnp.asarray(STUCK), zero, zero, velocity, zero, zero),
+            segment=Segment(jnp.asarray(Mode.STUCK), zero, zero, velocity, zero, zero),
             stuck_first=self.integrator.breakaway(self.rig, velocity) > 0,
             contacts=one,
             sticks=jnp.asarray(0),
@@ -142,7 +194,7 @@ class Push(NamedTuple):
     def cycle(self, state: State) -> tuple[State, list[Segment]]:
         """Once through the modes; also the five segments' starts, padded by repetition."""
         starts = [state.segment]
-        steps = (self._stuck, self._closing, self._rebounding, self._free)
+        steps = (self._wait_stuck, self._close, self._rebound, self._slide)
         for mode, step in enumerate(steps):
             state = select((state.segment.mode == mode) & ~state.over, step(state), state)
             starts.append(state.segment)
@@ -150,24 +202,24 @@ class Push(NamedTuple):
         never = self.rig.pusher.stops_at_release() & ~state.lost
         return state._replace(cycles=state.cycles + 1, endless=state.endless | never), starts
 
-    def _left(self, segment):
+    def _time_left(self, segment):
         stop = self.rig.pusher.stop_time(self.velocity)
         return jnp.where(segment.v_p > 0, jnp.maximum(stop - segment.t, 0.0), jnp.inf)
 
     def _advance(self, segment, dt, event, mode, z, u):
         """The next segment: the pusher has moved on, or has just stopped."""
-        stops = event == STOP
+        stops = event == Event.STOP
         stroke = 0.0 if self.rig.pusher.stroke is None else self.rig.pusher.stroke
-        v_p, left = segment.v_p, self._left(segment)
+        v_p, left = segment.v_p, self._time_left(segment)
         t_stop = segment.t + jnp.where(jnp.isfinite(left), left, 0.0)
         t = jnp.where(stops, t_stop, segment.t + dt)
         y = jnp.where(stops, stroke, segment.y + v_p * jnp.where(v_p > 0, dt, 0.0))
         return Segment(jnp.asarray(mode), t, y, jnp.where(stops, 0.0, v_p), z, u)
 
-    def _stuck(self, state: State) -> State:
+    def _wait_stuck(self, state: State) -> State:
         s, rig = state.segment, self.rig
         z_b = self.integrator.breakaway(rig, s.v_p)
-        left = self._left(s)
+        left = self._time_left(s)
         wait = (z_b - s.z) / s.v_p
         breaks = wait <= left
         dt = jnp.where(breaks, wait, left)
@@ -176,8 +228,8 @@ class Push(NamedTuple):
         contacts = state.contacts + touches
         force = jnp.where(z >= 0, rig.contact.approach(z, s.v_p), 0.0)
         higher = ~breaks & (force > state.peak)
-        event = jnp.where(breaks, NONE, STOP)
-        mode = jnp.where(breaks, CLOSING, STUCK)
+        event = jnp.where(breaks, Event.NONE, Event.STOP)
+        mode = jnp.where(breaks, Mode.CLOSING, Mode.STUCK)
         return state._replace(
             segment=self._advance(s, dt, event, mode, z, jnp.zeros_like(s.u)),
             contacts=contacts,
@@ -188,12 +240,12 @@ class Push(NamedTuple):
             peak_contact=jnp.where(higher, contacts, state.peak_contact),
         )
 
-    def _closing(self, state: State) -> State:
+    def _close(self, state: State) -> State:
         s = state.segment
-        leg = self.integrator.closing(self.rig, s.z, s.u, s.v_p, self._left(s), not self.once)
+        leg = self.integrator.closing(self.rig, s.z, s.u, s.v_p, self._time_left(s), not self.once)
         higher = ~(leg.peak <= state.peak)  # so that a peak that is no number shows
-        mode = jnp.where(leg.event == HALT, STUCK, REBOUNDING)
-        never = leg.event == NONE
+        mode = jnp.where(leg.event == Event.HALT, Mode.STUCK, Mode.REBOUNDING)
+        never = leg.event == Event.NONE
         after = self._advance(s, leg.dt, leg.event, mode, leg.z, leg.u)
         return state._replace(
             segment=select(never, s, after),
@@ -202,15 +254,17 @@ class Push(NamedTuple):
             endless=state.endless | never,
         )
 
-    def _rebounding(self, state: State) -> State:
+    def _rebound(self, state: State) -> State:
         s = state.segment
-        leg = self.integrator.rebounding(self.rig, s.z, s.u, s.v_p, self._left(s))
-        turned = jnp.where(s.v_p > 0, CLOSING, STUCK)
+        leg = self.integrator.rebounding(self.rig, s.z, s.u, s.v_p, self._time_left(s))
+        turned = jnp.where(s.v_p > 0, Mode.CLOSING, Mode.STUCK)
         mode = jnp.where(
-            leg.event == RELEASE, FREE, jnp.where(leg.event == TURN, turned, REBOUNDING)
+            leg.event == Event.RELEASE,
+            Mode.FREE,
+            jnp.where(leg.event == Event.TURN, turned, Mode.REBOUNDING),
         )
         after = self._advance(s, leg.dt, leg.event, mode, leg.z, leg.u)
-        never, released = leg.event == NONE, leg.event == RELEASE
+        never, released = leg.event == Event.NONE, leg.event == Event.RELEASE
         stands = released & self.rig.pusher.stops_at_release()
         after = after._replace(v_p=jnp.where(stands, 0.0, after.v_p))
         return state._replace(
@@ -222,17 +276,19 @@ class Push(NamedTuple):
             endless=state.endless | never,
         )
 
-    def _free(self, state: State) -> State:
+    def _slide(self, state: State) -> State:
         s = state.segment
-        leg = self.integrator.free(self.rig, s.z, s.u, s.v_p, self._left(s), not self.once)
-        caught = leg.event == CATCH
-        mode = jnp.where(caught, CLOSING, jnp.where(leg.event == HALT, STUCK, FREE))
+        leg = self.integrator.free(self.rig, s.z, s.u, s.v_p, self._time_left(s), not self.once)
+        caught = leg.event == Event.CATCH
+        mode = jnp.where(
+            caught, Mode.CLOSING, jnp.where(leg.event == Event.HALT, Mode.STUCK, Mode.FREE)
+        )
         return state._replace(
             segment=self._advance(s, leg.dt, leg.event, mode, leg.z, leg.u),
             contacts=state.contacts + caught,
             in_contact=caught,
             slid=state.slid + leg.slid,
-            endless=state.endless | (leg.event == NONE),
+            endless=state.endless | (leg.event == Event.NONE),
         )
 
     def last_state(self) -> State:

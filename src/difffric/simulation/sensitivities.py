@@ -1,78 +1,107 @@
-"""Exact derivatives of F_p and d in every parameter, and how far the next regime is."""
+"""Exact derivatives of F_p and d in every parameter, and how far the next regime is.
+
+A rig's numbers are read once, in the order of `parameters.names` with the speed behind them, and
+put back once, in the compiled program. What else goes in is a direction: how fast each of them
+changes.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jaxtyping import Array, ArrayLike, Float, Int
+from numpy.typing import NDArray
 
 from difffric.compute import pytrees
 from difffric.compute.program_cache import kept
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
 from difffric.simulation.observables import Observables, observe
+from difffric.simulation.segments import Integrator
 
 VELOCITY = "velocity_m_per_s"
+"""The name of the pusher's speed among the parameters of derivatives."""
 NEAR_EDGE = 1e-3
 """A margin below this makes derivatives one-sided in the answer."""
+_POINTS = 48
+"""Points of the scan for the next regime, a side and a round: each narrows it by that factor."""
+_ROUNDS = 5
+"""Rounds of the scan: they refine it to about 1e-7."""
+_NEAREST, _FURTHEST = 1e-8, (0.999, 9.0)
+"""Relative changes of mu_s, down and up, between which the next regime is looked for."""
+
+Numbers = tuple[Array, ...]
+"""A rig's parameters in the order of their names, then the speed [SI]; or how fast each changes."""
 
 
 class Sensitivity(NamedTuple):
     """Observables of one push and the derivatives of F_p and d by parameter name [SI]."""
 
     observables: Observables
-    peak_force: dict[str, jax.Array]
-    sliding_distance: dict[str, jax.Array]
+    peak_force: dict[str, Float[Array, ""]]
+    sliding_distance: dict[str, Float[Array, ""]]
 
 
-def sensitivity(rig: Rig, velocity, integrator=None) -> Sensitivity:
-    """F_p, d and their exact derivatives by forward mode. Traceable.
+def sensitivity(
+    rig: Rig, velocity: Float[ArrayLike, ""], integrator: Integrator | None = None
+) -> Sensitivity:
+    """F_p, d and their exact derivatives by forward mode, of one push at `velocity` [m/s].
+    Traceable.
 
     NaN stands where d does not exist.
     """
-    point = _point(rig, velocity)
+    names, at = _read_numbers(rig, velocity)
+    directions = [_point_along(at, k) for k in range(len(names))]
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((rig, velocity))):
-        directions = {name: _along(point, name) for name in point}
-        stacked = jax.tree.map(lambda *d: jnp.stack(d), *directions.values())
-        follow = jax.vmap(lambda d: _directional(rig, point, d, integrator))
+        stacked = jax.tree.map(lambda *d: jnp.stack(d), *directions)
+        follow = jax.vmap(lambda d: _differentiate(rig, at, d, integrator))
         dF, dd, seen = follow(stacked)
         seen = jax.tree.map(lambda leaf: leaf[0], seen)
-        columns = {name: (dF[i], dd[i]) for i, name in enumerate(point)}
-    else:  # one small program, called for each parameter: it compiles and loads in less time
-        rig = pytrees.as_arrays(rig)
-        found = {n: _directional_jit(rig, point, _along(point, n), integrator) for n in point}
-        seen = found[VELOCITY][2]
-        columns = {name: answer[:2] for name, answer in found.items()}
-    return Sensitivity(
-        seen, {n: c[0] for n, c in columns.items()}, {n: c[1] for n, c in columns.items()}
-    )
+        return Sensitivity(seen, _name(names, dF), _name(names, dd))
+    # One small program, called for each parameter: it compiles and loads in less time.
+    rig = pytrees.as_arrays(rig)
+    found = [_differentiate_compiled(rig, at, d, integrator) for d in directions]
+    dF, dd, seen = zip(*found, strict=True)
+    return Sensitivity(seen[-1], _name(names, dF), _name(names, dd))
 
 
-def _point(rig, velocity):
-    point = {**parameters.values(rig), VELOCITY: velocity}
-    return {name: jnp.asarray(value, float) for name, value in point.items()}
+def _read_numbers(rig: Rig, velocity: Float[ArrayLike, ""]) -> tuple[tuple[str, ...], Numbers]:
+    """The names of what derivatives are taken by, and their values."""
+    values = {**parameters.values(rig), VELOCITY: velocity}
+    return tuple(values), tuple(jnp.asarray(value, float) for value in values.values())
 
 
-def _along(point, name):
-    return {n: jnp.ones_like(x) if n == name else jnp.zeros_like(x) for n, x in point.items()}
+def _point_along(at: Numbers, k: int) -> Numbers:
+    """The direction in which the k-th number alone changes."""
+    return tuple(jnp.ones_like(x) if i == k else jnp.zeros_like(x) for i, x in enumerate(at))
 
 
-def _directional(rig, point, direction, integrator):
-    """Derivatives of F_p and d along a direction of parameters, and the observables."""
+def _name(names: Sequence[str], column: Sequence[Array] | Array) -> dict[str, Array]:
+    return {name: column[k] for k, name in enumerate(names)}
 
-    def measured(point):
-        rest = {name: value for name, value in point.items() if name != VELOCITY}
-        seen = observe(parameters.with_values(rig, rest), point[VELOCITY], integrator)
+
+def _differentiate(
+    rig: Rig, at: Numbers, direction: Numbers, integrator: Integrator | None
+) -> tuple[Array, Array, Observables]:
+    """Derivatives of F_p and d along a direction of the numbers, and the observables, of the push
+    of a rig with the numbers `at` in place of its own."""
+    put = parameters.setter(rig, parameters.names(rig))
+
+    def measure(at):
+        *numbers, velocity = at
+        seen = observe(put(*numbers), velocity, integrator)
         return (seen.peak_force, seen.sliding_distance), seen
 
-    _, (dF, dd), seen = jax.jvp(measured, (point,), (direction,), has_aux=True)
+    _, (dF, dd), seen = jax.jvp(measure, (at,), (direction,), has_aux=True)
     return dF, jnp.where(jnp.isnan(seen.sliding_distance), jnp.nan, dd), seen
 
 
-_directional_jit = kept(_directional)
+_differentiate_compiled = kept(_differentiate)
 
 
 class Margin(NamedTuple):
@@ -83,8 +112,10 @@ class Margin(NamedTuple):
     side: str
 
 
-def regime_margin(rig: Rig, velocity, integrator=None) -> Margin:
-    """Distance to the nearest mu_s at which the push goes another way.
+def regime_margin(
+    rig: Rig, velocity: Float[ArrayLike, ""], integrator: Integrator | None = None
+) -> Margin:
+    """Distance to the nearest mu_s at which the push at `velocity` [m/s] goes another way.
 
     Counted are the regime, whether the part sticks first, the number of contacts and of
     sticks, and the contact in which the peak falls: wherever a derivative may jump. Found by
@@ -92,32 +123,38 @@ def regime_margin(rig: Rig, velocity, integrator=None) -> Margin:
     another regime narrower than the scan's step (a factor 1.4 of the distance) is missed.
     Infinite where the scan finds no change.
     """
-    rig, point = pytrees.as_arrays(rig), _point(rig, velocity)
-    mu_s = float(point["mu_s"])
-    here = int(_kinds(rig, point, integrator, np.array([mu_s]))[0])
-    steps = [np.geomspace(1e-8, top, 48) for top in (0.999, 9.0)]
+    mu_s = float(parameters.values(rig)["mu_s"])
+    kinds = _kinds_by_mu_s(rig, velocity, integrator)
+    here = int(kinds(np.array([mu_s]))[0])
+    steps = [np.geomspace(_NEAREST, furthest, _POINTS) for furthest in _FURTHEST]
     found = [np.inf, np.inf]
     inside = [0.0, 0.0]
-    for _ in range(5):
+    for _ in range(_ROUNDS):
         deltas = np.concatenate([-steps[0], steps[1]])
-        differ = np.split(_kinds(rig, point, integrator, mu_s * (1 + deltas)) != here, 2)
+        differ = np.split(kinds(mu_s * (1 + deltas)) != here, 2)
         for side in (0, 1):
             if not differ[side].any():
                 continue
             first = int(np.argmax(differ[side]))
             inside[side] = steps[side][first - 1] if first else inside[side]
             found[side] = steps[side][first]
-            steps[side] = np.linspace(inside[side], found[side], 49)[1:]
+            steps[side] = np.linspace(inside[side], found[side], _POINTS + 1)[1:]
     margin = min(found)
     side = "both" if margin >= NEAR_EDGE else ("right" if found[0] < found[1] else "left")
     return Margin(margin, side)
 
 
-def _kinds(rig, point, integrator, mu_s):
-    """The kind of push at each mu_s, by the program that gives the derivatives."""
-    nowhere = {name: jnp.zeros_like(x) for name, x in point.items()}
-    at = [jnp.asarray(value) for value in mu_s]
-    kinds = [
-        _directional_jit(rig, {**point, "mu_s": value}, nowhere, integrator)[2].kind for value in at
-    ]
-    return np.array([int(kind) for kind in kinds])
+def _kinds_by_mu_s(
+    rig: Rig, velocity: Float[ArrayLike, ""], integrator: Integrator | None
+) -> Callable[[NDArray], Int[NDArray, " n"]]:
+    """The function that gives the kind of push at each of some mu_s, by the program that gives the
+    derivatives: a second one would take seconds to compile."""
+    names, at = _read_numbers(rig, velocity)
+    rig, place = pytrees.as_arrays(rig), names.index("mu_s")
+    nowhere = tuple(jnp.zeros_like(x) for x in at)
+
+    def kind(mu_s):
+        there = (*at[:place], jnp.asarray(mu_s), *at[place + 1 :])
+        return _differentiate_compiled(rig, there, nowhere, integrator)[2].kind
+
+    return lambda mu_s: np.array([int(k) for k in [kind(value) for value in mu_s]])

@@ -15,20 +15,11 @@ from difffric.errors import InputError
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
 from difffric.rig.setup import check_rig
-from difffric.simulation.observables import Observables, marched, observables
-from difffric.simulation.segments import (
-    CLOSING,
-    FREE,
-    MAX_CYCLES,
-    REASONS,
-    REBOUNDING,
-    REGIMES,
-    Integrator,
-    Push,
-    Segment,
-)
+from difffric.simulation.events import MAX_CYCLES, Mode, Regime, explain
+from difffric.simulation.observables import Observables, observe_segments, observe_steps
+from difffric.simulation.segments import Integrator, Push, Segment
 from difffric.simulation.stepping.integrator import RungeKutta
-from difffric.simulation.stepping.path import Path, follow
+from difffric.simulation.stepping.path import PushPath, follow
 
 STRIDES = 1024
 """Steps that a trajectory keeps at most where a push is integrated."""
@@ -42,18 +33,18 @@ class Trajectory(eqx.Module):
     push: Push
     segments: Segment
     observables: Observables
-    path: Path | None = None
+    path: PushPath | None = None
     """the strides of a push that was integrated step by step; each is a segment"""
 
     @classmethod
     def of(cls, push: Push, cycles: int = MAX_CYCLES, strides: int = STRIDES) -> Trajectory:
         """Follow a push, for so many cycles through the modes (or strides) at most."""
         if isinstance(push.integrator, RungeKutta):
-            marcher = push.integrator.marcher(push.rig, push.velocity)
-            march, path = follow(marcher, strides)
-            return cls(push, _segments(path), marched(marcher, march), path)
+            loop = push.integrator.build_loop(push.rig, push.velocity)
+            end, path = follow(loop, strides)
+            return cls(push, _segments(path), observe_steps(loop, end), path)
         state, segments = push.segments(cycles)
-        return cls(push, segments, observables(push, state))
+        return cls(push, segments, observe_segments(push, state))
 
     @property
     def peak_force(self):
@@ -68,12 +59,12 @@ class Trajectory(eqx.Module):
     @property
     def reason(self) -> str | None:
         """Why d (or more) does not exist; None where it does."""
-        return REASONS[int(self.observables.reason)]
+        return explain(int(self.observables.reason))
 
     @property
     def regime(self) -> str:
         """How the push went."""
-        return REGIMES[int(self.observables.regime)]
+        return Regime(int(self.observables.regime)).word
 
     @property
     def stop_time(self):
@@ -126,7 +117,7 @@ def _read(trajectory: Trajectory, t_force, t_position):
     return sensor.read(force), probe.read(_evaluate(trajectory, t_position - probe.delay)[1])
 
 
-def _segments(path: Path) -> Segment:
+def _segments(path: PushPath) -> Segment:
     """The strides as segments."""
 
     def start(stride):
@@ -146,17 +137,17 @@ def _at(trajectory: Trajectory, time):
     dt = jnp.maximum(time - s.t, 0.0)
     y = s.y + s.v_p * dt
 
-    closing, free = s.mode == CLOSING, s.mode == FREE
-    pushed = closing | (s.mode == REBOUNDING)
+    closing, free = s.mode == Mode.CLOSING, s.mode == Mode.FREE
+    pushed = closing | (s.mode == Mode.REBOUNDING)
     # No mode is followed where it does not hold.
-    z_p, u_p = integrator.pushed_state(rig, closing, s.z, s.u, s.v_p, jnp.where(pushed, dt, 0.0))
-    slid, u_f = integrator.free_state(rig, s.u, jnp.where(free, dt, 0.0))
+    z_p, u_p = integrator.evaluate_pushed(rig, closing, s.z, s.u, s.v_p, jnp.where(pushed, dt, 0.0))
+    slid, u_f = integrator.evaluate_free(rig, s.u, jnp.where(free, dt, 0.0))
     z = jnp.where(pushed, z_p, s.z + s.v_p * dt - jnp.where(free, slid, 0.0))
     u = jnp.where(pushed, u_p, jnp.where(free, u_f, 0.0))
 
     approach, rebound = rig.contact.approach(z, s.v_p - u), rig.contact.rebound(z, s.v_p - u)
-    force = jnp.where(s.mode == REBOUNDING, rebound, approach)
-    touching = (s.mode != FREE) & (z >= 0)
+    force = jnp.where(s.mode == Mode.REBOUNDING, rebound, approach)
+    touching = (s.mode != Mode.FREE) & (z >= 0)
     started = time >= 0
     return jnp.where(touching & started, force, 0.0), y - z, u
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from difffric.centering.belief import Belief
 from difffric.centering.loop import Centering, centre
-from difffric.centering.machine import Machine, Readings
+from difffric.centering.machine import Machine, PushReadings
 from difffric.centering.planning import Known, Plan
-from difffric.identification.surrogates import weighted
+from difffric.identification.surrogates import fit_distance, fit_force, weighted
 from difffric.rig import parameters
 from difffric.simulation.families import family
 
@@ -34,7 +34,7 @@ class Rivals:
         self.known = known
         # Without a stroke, as the paper's own: the pusher stops at the first loss of contact.
         self.family = family(parameters.with_stroke(known.rig, None))
-        self.force, self.distance = self.family.force_fit(), self.family.distance_fit()
+        self.force, self.distance = fit_force(self.family), fit_distance(self.family)
         nominal = float(parameters.values(known.rig)["mu_s"])
         self.nominal = Belief.normal(nominal, 0.0, known.mu_s.scatter)
 
@@ -49,14 +49,14 @@ class Rivals:
         known = replace(self.known, speeds=self.known.speeds[:1])
         return centre(machine, known, measure_each=rival == SLOWEST)
 
-    def _by_surrogates(self, known: Known, plan: Plan, readings: Readings) -> Belief | None:
+    def _by_surrogates(self, known: Known, plan: Plan, readings: PushReadings) -> Belief | None:
         mu_s = surrogate_mu_s(self, plan.next.velocity, readings)
         if not np.isfinite(mu_s):
             return None
         return Belief.normal(float(np.clip(mu_s, 0.02, 1.0)), 0.0, known.mu_s.scatter)
 
 
-def surrogate_mu_s(rivals: Rivals, velocity: float, readings: Readings) -> float:
+def surrogate_mu_s(rivals: Rivals, velocity: float, readings: PushReadings) -> float:
     """mu_s by (4), (6) and (7); by (4) alone where (6) has no answer."""
     force, distance = rivals.force, rivals.distance
     by_force = float(force.mu_s(velocity, readings.peak_force))

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from difffric.errors import InputError
 from difffric.identification.inversion import invert
 from difffric.rig.rig import Rig
-from difffric.simulation.segments import FREE
+from difffric.simulation.events import Mode
 from difffric.simulation.trajectory import Trajectory
 
 _BLOCK = 1 << 16  # times asked for at once: always so many, so that one program is compiled
@@ -178,7 +178,7 @@ def _highest(push: Trajectory) -> tuple[float, float]:
 
 def _release(push: Trajectory) -> float:
     """A time [s] by which contact is lost for good; where it is not, that of the last event."""
-    free = np.asarray(push.segments.mode) == FREE
+    free = np.asarray(push.segments.mode) == Mode.FREE
     t = np.asarray(push.segments.t)[free]
     t = t[np.isfinite(t)]
     return float(t.max()) if push.reason is None and t.size else float(push.stop_time)

@@ -15,7 +15,7 @@ from difffric.errors import InputError
 from difffric.rig import catalogue, parameters
 from difffric.rig.rig import spring_damper_rig
 from difffric.simulation.closed_form import ClosedForm
-from difffric.simulation.segments import REGIMES
+from difffric.simulation.events import Regime
 from difffric.simulation.stepping.integrator import RungeKutta
 from difffric.simulation.trajectory import simulate
 from tests.effect_rigs import (
@@ -154,7 +154,9 @@ def weights_of(rows):
 def agree(rows, found, weights):
     """Hold answers against the stored ones; returns how far they are off."""
     went = STORED["regimes"][STORED["regime"][rows]]
-    np.testing.assert_array_equal(np.array(REGIMES)[found.seen.regime], went)
+    np.testing.assert_array_equal(
+        np.array([regime.word for regime in Regime])[found.seen.regime], went
+    )
     np.testing.assert_array_equal(found.seen.contacts, STORED["contacts"][rows])
     off = errors(rows, weights, found)
     for column, name in enumerate(("F_p", "d")):
@@ -311,7 +313,7 @@ def test_a_patch_that_begins_where_contact_is_lost_is_passed_with_it():
 
     def slid(amplitude, start):
         keys = {"amplitude": amplitude, "start_m": start}
-        return df.simulate(df.extended(rig, {"friction_patch": keys}), velocity=1 / 60)
+        return df.simulate(df.rig.extended(rig, {"friction_patch": keys}), velocity=1 / 60)
 
     plain = df.simulate(rig, velocity=1 / 60)
     assert plain.regime == "released_at_stop"

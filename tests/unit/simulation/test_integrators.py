@@ -17,8 +17,8 @@ from difffric.rig.pusher import ConstantSpeed
 from difffric.rig.rig import Rig, spring_damper_rig
 from difffric.simulation.closed_form import ClosedForm
 from difffric.simulation.diffrax_reference import Diffrax
+from difffric.simulation.events import Reason
 from difffric.simulation.observables import observe
-from difffric.simulation.segments import REASONS
 from difffric.simulation.stepping.integrator import RungeKutta
 from tests.effect_rigs import OPTIONS
 
@@ -335,8 +335,8 @@ def test_states_within_a_leg(closing):
     start = (1e-5, 0.02, 0.03) if closing else (5e-5, 0.05, 0.03)
 
     def states(integrator):
-        pushed = jax.vmap(lambda t: integrator.pushed_state(rig, closing, *start, t))(t)
-        return *pushed, *jax.vmap(lambda t: integrator.free_state(rig, 0.02, t))(t)
+        pushed = jax.vmap(lambda t: integrator.evaluate_pushed(rig, closing, *start, t))(t)
+        return *pushed, *jax.vmap(lambda t: integrator.evaluate_free(rig, 0.02, t))(t)
 
     for ours, exact in zip(states(Diffrax()), states(ClosedForm()), strict=True):
         np.testing.assert_allclose(ours, exact, rtol=1e-8, atol=1e-14)
@@ -359,4 +359,4 @@ def test_a_push_that_cannot_be_followed_says_so():
     for rig, integrator in ((broken, Diffrax()), (paper, Diffrax(max_steps=3))):
         seen = observe(rig, 0.05, integrator)
         assert jnp.isnan(seen.peak_force) and jnp.isnan(seen.sliding_distance)
-        assert "could not be integrated" in REASONS[int(seen.reason)]
+        assert "could not be integrated" in Reason(int(seen.reason)).text

@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table
-from difffric.identification.surrogates import PUBLISHED_DISTANCE, PUBLISHED_FORCE
+from difffric.identification.surrogates import (
+    PUBLISHED_DISTANCE,
+    PUBLISHED_FORCE,
+    fit_distance,
+    fit_force,
+)
 from difffric.number_text import format_number
 from difffric.rig.rig import Rig
 from difffric.simulation.families import Family
@@ -14,7 +19,7 @@ from difffric.units import to_um
 
 def family_answer(family: Family) -> dict:
     """The families and their fits, as `difffric family` writes them."""
-    force, distance = family.force_fit(), family.distance_fit()
+    force, distance = fit_force(family), fit_distance(family)
     return {
         "velocity_m_per_s": family.velocity,
         "mu_s": family.mu_s,

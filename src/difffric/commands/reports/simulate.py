@@ -8,7 +8,7 @@ from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, 
 from difffric.number_text import format_number
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
-from difffric.simulation.segments import REASONS, REGIMES
+from difffric.simulation.events import Regime, explain
 from difffric.simulation.sensitivities import regime_margin, sensitivity
 from difffric.units import from_mm_min, to_um
 
@@ -18,14 +18,14 @@ def simulate_answer(rig: Rig, velocity: float) -> dict:
     found = sensitivity(rig, velocity)
     seen = found.observables
     margin = regime_margin(rig, velocity)
-    reason = REASONS[int(seen.reason)]
+    reason = explain(int(seen.reason))
     d = float(seen.sliding_distance)
     return {
         "peak_force_N": float(seen.peak_force),
         "peak_contact_force_N": float(seen.peak_force),
         "sliding_distance_m": None if reason else d,
         "reason": reason,
-        "regime": REGIMES[int(seen.regime)],
+        "regime": Regime(int(seen.regime)).word,
         "stuck_first": bool(seen.stuck_first),
         "contacts": int(seen.contacts),
         "margin": margin.margin if np.isfinite(margin.margin) else None,

@@ -2,37 +2,49 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jaxtyping import Array, ArrayLike, Float
 from numpy.polynomial import polynomial
+from numpy.typing import NDArray
 
-from difffric.simulation.dynamics import Course, Motion, Point
+from difffric.simulation.dynamics import Course, Motion, PhasePoint
 
-_NODES = 0.5 - 0.5 * np.cos(np.pi * np.arange(8) / 7)
-_TO_POWERS = np.linalg.inv(polynomial.polyvander(_NODES, 7))
-"""Turns values at the nodes into coefficients of powers of the share of the step."""
+Jet = tuple[PhasePoint, PhasePoint, PhasePoint]
+"""A state, its rate, and the rate's rate."""
 
 
-def _septic():
-    """Rows of the coefficients of 1, s, ..., s^7 by (x, x', x'', x''') at 0 and at 1."""
+def _invert_hermite(orders: int, powers: Sequence[int], shares: Sequence[float]) -> NDArray:
+    """The matrix that turns values and so many derivatives at these shares of a step into the
+    coefficients of the powers of the share."""
     rows = []
-    for at in (0.0, 1.0):
-        for order in range(4):
-            row = np.zeros(8)
-            for n in range(order, 8):
-                row[n] = np.prod(np.arange(n - order + 1, n + 1)) * at ** (n - order)
+    for at in shares:
+        for order in range(orders):
+            row = [
+                float(np.prod(np.arange(n - order + 1, n + 1)) * at ** (n - order))
+                if n >= order
+                else 0.0
+                for n in powers
+            ]
             rows.append(row)
     return np.linalg.inv(np.array(rows))
 
 
-_SEPTIC = _septic()
+_NODES = 0.5 - 0.5 * np.cos(np.pi * np.arange(8) / 7)
+"""Shares of a step at which a polynomial of order 7 is best sampled (Chebyshev's extrema)."""
+_TO_POWERS = np.linalg.inv(polynomial.polyvander(_NODES, 7))
+"""Turns values at the nodes into coefficients of powers of the share of the step."""
+_SEPTIC = _invert_hermite(4, range(8), (0.0, 1.0))
+"""Gives the coefficients of 1, s, ..., s^7 by (x, x', x'', x''') at 0 and at 1."""
+_QUINTIC = _invert_hermite(3, range(3, 6), (1.0,))
+"""Gives the coefficients of s^3, s^4, s^5 by what is left of (y, y', y'') at 1."""
 
 
-def _times(matrix, values) -> tuple:
+def _multiply(matrix: NDArray, values: Sequence[Array]) -> tuple[Any, ...]:
     """A constant matrix times a few numbers, in plain arithmetic: it vectorises over pushes."""
     return tuple(
         sum(float(c) * v for c, v in zip(row, values, strict=True) if abs(c) > 1e-14)
@@ -40,7 +52,8 @@ def _times(matrix, values) -> tuple:
     )
 
 
-def _power_sum(coefficients, share):
+def sum_powers(coefficients: Sequence[Any] | Array, share: Float[ArrayLike, ""]) -> Array:
+    """The polynomial with these coefficients, lowest power first, at a share of the step."""
     total = coefficients[-1]
     for c in coefficients[-2::-1]:
         total = total * share + c
@@ -50,71 +63,90 @@ def _power_sum(coefficients, share):
 class Stride(NamedTuple):
     """A step from `t` over `h` [s], with polynomials in the share of it (0 to `end`).
 
-    `end` is 1, but for a hair where an event ends the step; its derivatives are the event's.
+    `end` is 1, but for a hair where an event ends the step: then the Taylor step to the event is
+    in it, and with it the derivatives of the event's time.
     """
 
-    t: Array
-    h: Array
-    end: Array
+    t: Float[Array, ""]
+    h: Float[Array, ""]
+    end: Float[Array, ""]
     course: Course
-    x: tuple
+    x: tuple[Array, ...]
     """eight coefficients of the part's position [m]"""
-    y: tuple
+    y: tuple[Array, ...]
     """six coefficients of the tip's travel [m]"""
 
     @classmethod
-    def of(cls, motion: Motion, course: Course, start, end, h, share) -> Stride:
-        """From (state, its rate, the rate's rate) at shares 0 and 1."""
+    def of(
+        cls,
+        motion: Motion,
+        course: Course,
+        start: Jet,
+        end: Jet,
+        h: Float[Array, ""],
+        share: Float[Array, ""],
+    ) -> Stride:
+        """From the state and its rates at the shares 0 and 1 of a step of h [s], which counts up
+        to `share`."""
 
-        def jet(s: Point, r: Point, rr: Point):
+        def jet(s: PhasePoint, r: PhasePoint, rr: PhasePoint):
             gap = motion.rig.contact.gap
             return [s.y - gap - s.z, s.u * h, r.u * h**2, rr.u * h**3]
 
-        def tip(s: Point, r: Point, rr: Point):
+        def tip(s: PhasePoint, r: PhasePoint, rr: PhasePoint):
             return [s.y, r.y * h, rr.y * h**2]
 
-        x = _times(_SEPTIC, jet(*start) + jet(*end))
+        x = _multiply(_SEPTIC, jet(*start) + jet(*end))
         (y_0, v_0, a_0), (y_1, v_1, a_1) = tip(*start), tip(*end)
         rest = [y_1 - y_0 - v_0 - 0.5 * a_0, v_1 - v_0 - a_0, a_1 - a_0]
-        y = (y_0, v_0, 0.5 * a_0, *_times(_QUINTIC, rest))
+        y = (y_0, v_0, 0.5 * a_0, *_multiply(_QUINTIC, rest))
         return cls(start[0].t, h, share, course, x, y)
 
-    def position(self, share):
-        """x [m]."""
-        return _power_sum(self.x, share)
+    def position(self, share: Float[ArrayLike, ""]) -> Float[Array, ""]:
+        """x, the part's position [m], at a share of the step."""
+        return sum_powers(self.x, share)
 
-    def point(self, motion: Motion, share) -> Point:
+    def point(self, motion: Motion, share: Float[ArrayLike, ""]) -> PhasePoint:
         """The state at a share of the step."""
         rate = [n * c for n, c in enumerate(self.x)][1:]
-        x, y = self.position(share), _power_sum(self.y, share)
-        u = _power_sum(rate, share) / self.h
-        return Point(self.t + share * self.h, y - motion.rig.contact.gap - x, u, y)
+        x, y = self.position(share), sum_powers(self.y, share)
+        u = sum_powers(rate, share) / self.h
+        return PhasePoint(self.t + share * self.h, y - motion.rig.contact.gap - x, u, y)
 
-    def force(self, motion: Motion, share):
-        """The contact force [N]."""
+    def force(self, motion: Motion, share: Float[ArrayLike, ""]) -> Float[Array, ""]:
+        """The contact force [N] at a share of the step."""
         return motion.force(self.course, self.point(motion, share))
 
-    def force_powers(self, motion: Motion):
+    def force_powers(self, motion: Motion) -> tuple[Array, ...]:
         """Eight coefficients of the contact force [N]."""
         at = jax.vmap(lambda share: self.force(motion, share))(jnp.asarray(_NODES))
-        return _times(_TO_POWERS, [at[i] for i in range(len(_NODES))])
+        return _multiply(_TO_POWERS, [at[i] for i in range(len(_NODES))])
 
 
-_QUINTIC = np.linalg.inv(np.array([[1.0, 1.0, 1.0], [3.0, 4.0, 5.0], [6.0, 12.0, 20.0]]))
+_TERMS = 18
+"""Powers of a filter's answer to a stride that is short beside its time constant: the series has
+converged to rounding."""
 
 
 class OnePole(NamedTuple):
     """`tau f' = N - f` over a stride, N a polynomial: its exact solution, for any tau >= 0."""
 
-    powers: tuple
+    powers: tuple[Array, ...]
     """of N's particular solution, or of f itself where the step is short beside tau"""
-    rest: Array
-    """what decays"""
-    ratio: Array
+    rest: Float[Array, ""]
+    """what decays [N]"""
+    ratio: Float[Array, ""]
     """step / tau"""
 
     @classmethod
-    def of(cls, N, f_0, h, tau) -> OnePole:
+    def of(
+        cls,
+        N: Sequence[Array] | Array,
+        f_0: Float[Array, ""],
+        h: Float[Array, ""],
+        tau: Float[Array, ""] | float,
+    ) -> OnePole:
+        """From N's coefficients [N], f at the start [N], the step and tau [s]."""
         quick = tau < h
         # Quick: p + p' / ratio = N, from the highest power down.
         inverse = jnp.where(quick, tau, 0.0) / h
@@ -134,11 +166,8 @@ class OnePole(NamedTuple):
         steep = jnp.where(tau > 0, h / jnp.where(tau > 0, tau, 1.0), jnp.inf)
         return cls(powers, rest, jnp.where(quick, steep, 0.0))
 
-    def value(self, share):
+    def value(self, share: Float[ArrayLike, ""]) -> Float[Array, ""]:
         """f [N] at a share of the stride."""
         sharp = jnp.isinf(self.ratio)
         fades = jnp.where(sharp, 0.0, jnp.exp(-jnp.where(sharp, 1.0, self.ratio) * share))
-        return _power_sum(self.powers, share) + self.rest * fades
-
-
-_TERMS = 18
+        return sum_powers(self.powers, share) + self.rest * fades

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
+from jaxtyping import Array, Float
 
 from difffric.rig.rig import Rig
-from difffric.simulation.dynamics import Motion
-from difffric.simulation.stepping.loop import MAX_STEPS, Marcher
+from difffric.simulation.dynamics import Motion, find_compression
+from difffric.simulation.stepping.loop import MAX_STEPS, StepLoop
+
+_DEEP = 3
+"""Effects around a rig's laws beyond which a step written out takes too long to compile."""
 
 
 class RungeKutta(eqx.Module):
@@ -24,28 +27,23 @@ class RungeKutta(eqx.Module):
     looped: bool | None = eqx.field(default=None, static=True)
     most: int = eqx.field(default=MAX_STEPS, static=True)
 
-    def check(self, rig: Rig):
+    def check(self, rig: Rig) -> None:
         """Every rig is served."""
 
-    def marcher(self, rig: Rig, v, blind: bool = False) -> Marcher:
+    def build_loop(self, rig: Rig, v: Float[Array, ""], blind: bool = False) -> StepLoop:
         """The push of a rig at the speed v [m/s] that its pusher comes to; `blind`: its motion
         alone."""
-        looped = self.looped if self.looped is not None else _depth(rig) > 3
+        looped = self.looped if self.looped is not None else _count_effects(rig) > _DEEP
         weight = stop_gradient(rig.F_N)
-        z_0 = stop_gradient(_reach(rig.contact, weight))
-        return Marcher(Motion(rig, v), z_0, self.tol, looped, blind, self.most)
+
+        def carry(z):
+            return rig.contact.approach(z, jnp.zeros_like(z))
+
+        z_0 = stop_gradient(find_compression(carry, weight))
+        return StepLoop(Motion(rig, v), z_0, self.tol, looped, blind, self.most)
 
 
-def _reach(contact, force):
-    """A compression [m] that carries a force [N]: at most four times the least that does."""
-
-    def short(z):
-        return (contact.approach(z, jnp.zeros_like(z)) < force) & (z < 1e3)
-
-    return jax.lax.while_loop(short, lambda z: 4 * z, jnp.asarray(1e-9))
-
-
-def _depth(rig: Rig) -> int:
+def _count_effects(rig: Rig) -> int:
     """How many effects stand around the rig's laws."""
     count = 0
     for part in (rig.friction, rig.contact, rig.pusher, rig.force_sensor, rig.probe):

@@ -9,52 +9,98 @@ on one looks for the others too.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import Array
 from jax.lax import stop_gradient
+from jaxtyping import Array, Bool, Float
 
-from difffric.compute import hermite
 from difffric.compute.pytrees import select
 from difffric.compute.xla_options import in_one_piece
-from difffric.simulation.dynamics import (
-    BOTTOM,
-    BREAK,
-    CLOSING,
-    CORNER,
-    FREE,
-    GRIP,
-    HALT,
-    REBOUNDING,
-    STUCK,
-    SUMMIT,
-    TURN,
-    Course,
-    Motion,
-    Point,
-)
+from difffric.simulation.dynamics import Course, Motion, PhasePoint
+from difffric.simulation.events import Event, Mode
 from difffric.simulation.stepping.dense_output import Stride
-from difffric.simulation.stepping.dop853 import looped_step, rk_step
-from difffric.simulation.stepping.sensor_readout import nothing, sense
-from difffric.simulation.stepping.state import March
-from difffric.simulation.stepping.transitions import NO_EVENT, STEADY, Rules
+from difffric.simulation.stepping.dop853 import take_step, take_step_in_loop
+from difffric.simulation.stepping.event_location import Crossing, Guard, find_crossing
+from difffric.simulation.stepping.sensor_readout import sense, start_readout
+from difffric.simulation.stepping.state import LoopState
+from difffric.simulation.stepping.transitions import STEADY, Rules
 
 MAX_STEPS = 20_000
-_FINEST = 1e-5  # of the push's own time
+"""Steps after which a push is given up; the paper's take some hundred."""
+_FINEST = 1e-5  # of the push's own time: no step is shorter where a law is rough at first touch
+_LOST = 1e-13  # of the push's own time: a step as short as this no longer moves it
+_LONGEST = 1e3  # of the push's own time: the longest wait for a breakaway
 _CLOSE = 1e-4  # of a free step: an event this near to the end is reached by the Taylor step
-_SHARES = (0.25, 0.5, 0.75)  # of a step: where its inside is looked at for a dip
 
 
-class Marcher(NamedTuple):
-    """A push to be followed: the motion and its scales."""
+class _Start(NamedTuple):
+    """What is known where a step starts: rates, and each guard and the force with their rates."""
+
+    rate: PhasePoint
+    guards: dict[Event, Array]
+    slopes: dict[Event, Array]
+    N: Array
+    dN: Array
+
+
+class _End(NamedTuple):
+    """What is known where a step ends: the state, its rate and the rate's rate, and each guard and
+    the force to second order."""
+
+    s: PhasePoint
+    rate: PhasePoint
+    bend: PhasePoint
+    guards: dict[Event, Array]
+    slopes: dict[Event, Array]
+    bends: dict[Event, Array]
+    N: Array
+    dN: Array
+    ddN: Array
+
+
+class _Plan(NamedTuple):
+    """How far a step is to go, and why."""
+
+    h: Array
+    """[s]"""
+    aim: Array
+    """the event that it is to end on, or `Event.NONE`"""
+    aims: Array
+    """whether an earlier try of the step found that event"""
+    at_once: Array
+    """whether it goes straight to the breakaway"""
+    corner: Array | None
+    """until the command has come to its speed [s]; None: it has from the start"""
+
+
+class _Outcome(NamedTuple):
+    """What has become of a step."""
+
+    err: Array
+    """its error, at most 1 where it is good"""
+    crossing: Crossing
+    arrived: Array
+    """whether it ends on an event"""
+    cut: Array
+    """whether it goes beyond one"""
+    accept: Array
+    """whether it counts"""
+    dt: Array
+    """from its end to the event that it ends on [s], else 0"""
+
+
+class StepLoop(NamedTuple):
+    """A push to be followed step by step: its motion, its scales, and how."""
 
     motion: Motion
-    z_0: Array
+    z_0: Float[Array, ""]
     """about the compression under the part's own weight [m]"""
     tol: float = 1e-10
     looped: bool = False
+    """whether a step's stages are looped over, which compiles sooner and runs slower"""
     blind: bool = False
     """whether only the motion is asked for, not what the sensors make of its peak and release"""
     most: int = MAX_STEPS
@@ -72,208 +118,16 @@ class Marcher(NamedTuple):
         return Rules(self.motion, self.z_0)
 
     @property
-    def u_0(self):
+    def u_0(self) -> Float[Array, ""]:
+        """A speed [m/s] of the push's own."""
         return self.rules.u_0
 
     @property
-    def time(self):
+    def time(self) -> Float[Array, ""]:
+        """A time [s] of the push's own."""
         return self.rules.time
 
-    def start(self) -> March:
-        """At rest, the pusher starting."""
-        rig, v = self.motion
-        zero, no = jnp.zeros(()), jnp.asarray(False)
-        gap = jnp.asarray(rig.contact.gap, float)
-        bristles = self.motion.bristles
-        risen = jnp.asarray(rig.pusher.ramp_time(v) <= 0)
-        course = Course(
-            mode=jnp.asarray(STUCK), touching=gap <= 0, moved=no, stopped=no, t_stop=zero,
-            V_stop=zero, beyond=no, risen=risen, way=jnp.ones(()),
-        )  # fmt: skip
-        # At rest on its bristles, which hold it against the slope.
-        q = None if bristles is None else -rig.slope / bristles.stiffness + zero
-        s = Point(zero, -gap, zero, zero, q)
-        at_once = self.rules.breaks(course, s)
-        course = course._replace(mode=jnp.where(at_once, CLOSING, STUCK), moved=at_once)
-        none, nowhere = jnp.asarray(0), jnp.asarray(NO_EVENT)
-        m = March(
-            s=s, course=course, h=0.3 * stop_gradient(self.time) + zero, target=nowhere,
-            h_target=zero, contacts=jnp.where(gap <= 0, 1, 0), sticks=(~at_once).astype(int),
-            lost=no, lost_moving=no, x_lost=zero, peak=zero, peak_contact=jnp.asarray(1),
-            summited=no, slowed=no, rebounds=none, halts=none, endless=no, over=no, steps=none,
-            strides=none, lost_track=no, stuck_first=~at_once,
-            sensed=nothing(self.motion) if self.senses else None,
-        )  # fmt: skip
-        return m._replace(over=self.rules.rests(m))
-
-    def step(self, m: March, record: bool = False) -> tuple[March, Stride | None]:
-        """One turn of the loop; also the step as a stride where one is asked for or needed."""
-        motion, c, s = self.motion, m.course, m.s
-        pusher = motion.rig.pusher
-        stuck = c.mode == STUCK
-
-        def field(p):
-            return motion.rates(c, p)
-
-        def along(p, r):
-            """Guards and N at p, and their rates where p's own are r."""
-            return jax.jvp(lambda q: motion.guards(c, q), (p,), (r,))
-
-        rate = field(s)
-        (g_0, N_0), (d_0, n_0) = along(s, rate)
-
-        # How far: to the event aimed at; at rest straight to the breakaway, as the force grows now.
-        aims = m.target >= 0
-        ahead = jnp.where(d_0[BREAK] < 0, g_0[BREAK] / -d_0[BREAK], jnp.inf)
-        wait = jnp.where(c.touching & (ahead < 1e3 * self.time), ahead, 1e3 * self.time)
-        at_once = stuck if pusher.constant else jnp.asarray(False)
-        wait = jnp.where(at_once, wait, jnp.where(stuck, jnp.minimum(wait, m.h), m.h))
-        # Where a law is not smooth at first touch, its derivatives are less so than its values:
-        # steps there shrink with the compression.
-        w = rate.z
-        touched = (c.mode == CLOSING) | (c.mode == REBOUNDING)
-        graded = jnp.where(w > 0, 1.5, 0.6) * s.z / jnp.maximum(jnp.abs(w), 1e-12 * self.u_0)
-        graded = jnp.where(
-            touched & motion.rig.contact.rough, jnp.maximum(graded, _FINEST * self.time), jnp.inf
-        )
-        h = jnp.where(aims, m.h_target, jnp.minimum(wait, graded))
-        aim = jnp.where(aims, m.target, jnp.where(stuck & c.touching, BREAK, NO_EVENT))
-        if not pusher.constant:
-            corner = pusher.ramp_time(motion.v) - s.t
-            meets = ~c.risen & (corner <= h)
-            h = jnp.where(meets, corner, h)
-            aim = jnp.where(meets, CORNER, aim)
-        h = stop_gradient(h)
-
-        y, errors = (looped_step if self.looped else rk_step)(field, s, rate, h)
-        # What goes wrong in contact is amplified by what follows, in a free slide it is not.
-        tol = self.tol * jnp.where(c.mode == FREE, 30.0, 1.0)
-        err = zero = jnp.zeros_like(h)
-        for error, scale in zip(errors, (self.z_0, self.u_0, self.z_0, self.z_0), strict=False):
-            err = jnp.maximum(err, error / (scale * tol))
-        err = stop_gradient(jnp.where(jnp.isfinite(err), err, 1e9))
-        good = err <= 1
-
-        f_1 = field(y)
-        df_1 = jax.jvp(field, (y,), (f_1,))[1]
-        ((g_1, N_1), (d_1, n_1)), ((_, _), (c_1, nn_1)) = jax.jvp(along, (y, f_1), (f_1, df_1))
-        if not pusher.constant:
-            waits = ~c.risen
-            g_0[CORNER] = jnp.where(waits, corner, 1.0)
-            g_1[CORNER] = jnp.where(waits, corner - (y.t - s.t), 1.0)
-            d_0[CORNER] = d_1[CORNER] = jnp.where(waits, -1.0, 0.0)
-            c_1[CORNER] = zero
-        # The force is highest where its rate falls through zero, the part slowest where x'' rises.
-        closing = c.mode == CLOSING
-        rises = closing & ~m.summited & (n_0 > 0)
-        slow = closing & ~m.slowed & (rate.u < 0) & (jnp.minimum(s.u, y.u) < 0.05 * motion.v)
-        slopes = {
-            SUMMIT: (rises, (N_0, n_0, N_1, n_1, nn_1)),
-            BOTTOM: (slow, (-s.u, -rate.u, -y.u, -f_1.u, -df_1.u)),
-        }
-        for event, (on, (_, p_0, _, p_1, q_1)) in slopes.items():
-            g_0[event], g_1[event] = jnp.where(on, p_0, 1.0), jnp.where(on, p_1, 1.0)
-            d_1[event], c_1[event] = jnp.where(on, q_1, 0.0), 0.0
-
-        # Steady sliding before the tip has no events but the stop.
-        quiet = jnp.abs(g_0[TURN]) + jnp.abs(d_0[TURN]) * self.time < STEADY * self.u_0
-        steady = ((c.mode == CLOSING) | (c.mode == REBOUNDING)) & quiet & ~c.stopped
-        deaf = {TURN, HALT, GRIP, SUMMIT, BOTTOM}
-
-        # The first guard that falls through zero within the step; `near` (a share of it) is so
-        # near an end that the Taylor step does the rest.
-        near = _CLOSE * jnp.maximum(m.h, h) / h
-        first, event = jnp.full_like(h, 2.0), jnp.full_like(m.target, NO_EVENT)
-        miss_aim = jnp.full_like(h, jnp.inf)
-        jet = zero, zero + 1.0, zero
-        curve = (zero + 1.0, zero, zero, zero, zero)
-        for code in g_1:
-            jet_1 = g_1[code], d_1[code], c_1[code]
-            e, f = stop_gradient((g_1[code], d_1[code] * h))
-            if code in slopes:  # of a quantity that is known better than its rate
-                on, (v_0, p_0, v_1, p_1, q_1) = slopes[code]
-                q = hermite.hermite(*stop_gradient((v_0, p_0 * h, v_1, p_1 * h, q_1 * h * h)))
-                rate_of = (q[1], 2 * q[2], 3 * q[3], 4 * q[4], zero)
-                p = tuple(
-                    jnp.where(on, r, i) for r, i in zip(rate_of, (1.0, 0, 0, 0, 0), strict=True)
-                )
-            else:
-                begin = g_0[code], d_0[code] * h, g_1[code], d_1[code] * h, c_1[code] * h * h
-                p = hermite.hermite(*stop_gradient(begin))
-            where = jnp.where(e <= 0, 1.0, 2.0)
-            for share in _SHARES[::-1]:
-                where = jnp.where(hermite.value(p, share) <= 0, share, where)
-            where = jnp.where(where > 0.3, where - 0.25 * hermite.before(p, where), where)
-            if code in deaf:
-                where = jnp.where(steady, 2.0, where)
-            # An aim is reached from either side.
-            aimed = (aim == code) & (f < 0)
-            miss = jnp.where(aimed, jnp.abs(e / jnp.where(f == 0, 1.0, f)), jnp.inf)
-            miss_aim = jnp.minimum(miss_aim, miss)
-            where = jnp.where(miss < near, jnp.minimum(where, 1.0), where)
-            earlier = where < first
-            first = jnp.where(earlier, where, first)
-            event = jnp.where(earlier, code, event)
-            jet = select(earlier, jet_1, jet)
-            curve = select(earlier, p, curve)
-        passed = first <= 1.0
-        x = jnp.where((aim == event) & (miss_aim < near), 1.0, hermite.root(curve, first))
-        arrived = good & passed & (x >= 1 - near)
-        # Beyond the event the law may not be smooth: a poor step is cut there too.
-        cut = passed & (x < 1 - near)
-        accept = good & ~cut
-
-        # The Taylor step from the end of the step to the event.
-        g, d, e = jet
-        d = jnp.where(d == 0, 1.0, d)
-        dt = -g / d
-        dt = dt - (g + d * dt + 0.5 * e * dt * dt) / (d + e * dt)
-        # A guard that grazes zero has no such step.
-        dt = jnp.where(arrived & (jnp.abs(dt) <= 3 * near * h), dt, 0.0)
-        at = jax.tree.map(lambda a, b, e: a + dt * b + 0.5 * dt * dt * e, y, f_1, df_1)
-        N_1 = N_1 + dt * (n_1 + 0.5 * dt * nn_1)
-        force = jnp.where(N_1 > N_0, N_1, N_0)
-        higher = accept & ~(force <= m.peak)
-
-        grow = jnp.clip(0.9 * jnp.maximum(err, 1e-9) ** (-1.0 / 8.0), 0.2, 4.0)
-        kept = jnp.maximum(m.h, jnp.where(at_once, 0.0, h))
-        done = self.rules.passed(m, jnp.where(arrived, event, NO_EVENT), at, f_1.u)
-        done = done._replace(
-            h=jnp.where(arrived | at_once | aims, kept, h * grow),
-            peak=jnp.where(higher, force, m.peak),
-            peak_contact=jnp.where(higher, m.contacts, m.peak_contact),
-        )
-        stride = None
-        if self.senses or record:
-            stride = self._stride(m, rate, y, f_1, df_1, h, dt)
-        if self.senses and stride is not None:
-            release = c.touching & ~done.course.touching
-            done = done._replace(sensed=sense(motion, m.sensed, stride, release))
-        again = m._replace(
-            target=jnp.where(cut, event, NO_EVENT),
-            h_target=x * h,
-            h=jnp.where(good, m.h, h * jnp.clip(0.9 * err**-0.25, 0.1, 0.7)),
-        )
-        new = select(accept, done, again)
-        lost = new.h < 1e-13 * self.time
-        for_ever = steady & pusher.stops_at_release()
-        new = new._replace(
-            steps=m.steps + 1,
-            strides=m.strides + accept,
-            over=new.over | lost | for_ever,
-            endless=new.endless | for_ever,
-            lost_track=m.lost_track | lost,
-        )
-        return new, stride
-
-    def _stride(self, m: March, rate, y: Point, f_1, df_1, h, dt) -> Stride:
-        """The step of h [s] from m.s to y, and the Taylor step dt [s] beyond it."""
-        motion, c = self.motion, m.course
-        df_0 = jax.jvp(lambda p: motion.rates(c, p), (m.s,), (rate,))[1]
-        h = jnp.maximum(h, 1e-12 * stop_gradient(self.time))
-        return Stride.of(motion, c, (m.s, rate, df_0), (y, f_1, df_1), h, 1 + dt / h)
-
-    def last(self) -> March:
+    def run(self) -> LoopState:
         """Follow the push to its end."""
 
         def turn(m):
@@ -281,7 +135,261 @@ class Marcher(NamedTuple):
 
         # Run loop by loop, starting the loops would cost more than what is in them.
         own = self.motion.rig.only_own_laws
-        return jax.lax.while_loop(self.goes_on, in_one_piece(turn) if own else turn, self.start())
+        step = in_one_piece(turn) if own else turn
+        return jax.lax.while_loop(self.is_unfinished, step, self.start())
 
-    def goes_on(self, m: March):
+    def is_unfinished(self, m: LoopState) -> Bool[Array, ""]:
+        """Whether there is a next step."""
         return ~m.over & (m.steps < self.most)
+
+    def start(self) -> LoopState:
+        """At rest, the pusher starting."""
+        rig, v = self.motion
+        zero, no = jnp.zeros(()), jnp.asarray(False)
+        gap = jnp.asarray(rig.contact.gap, float)
+        bristles = self.motion.bristles
+        course = Course(
+            mode=jnp.asarray(Mode.STUCK),
+            touching=gap <= 0,
+            moved=no,
+            stopped=no,
+            t_stop=zero,
+            V_stop=zero,
+            beyond=no,
+            risen=jnp.asarray(rig.pusher.ramp_time(v) <= 0),
+            way=jnp.ones(()),
+        )
+        # At rest on its bristles, which hold it against the slope.
+        q = None if bristles is None else -rig.slope / bristles.stiffness + zero
+        s = PhasePoint(zero, -gap, zero, zero, q)
+        at_once = self.rules.is_breaking(course, s)
+        first = jnp.where(at_once, Mode.CLOSING, Mode.STUCK)
+        none = jnp.asarray(0)
+        m = LoopState(
+            s=s,
+            course=course._replace(mode=first, moved=at_once),
+            h=0.3 * stop_gradient(self.time) + zero,
+            target=jnp.asarray(Event.NONE),
+            h_target=zero,
+            contacts=jnp.where(gap <= 0, 1, 0),
+            sticks=(~at_once).astype(int),
+            lost=no,
+            lost_moving=no,
+            x_lost=zero,
+            peak=zero,
+            peak_contact=jnp.asarray(1),
+            summited=no,
+            slowed=no,
+            rebounds=none,
+            halts=none,
+            endless=no,
+            over=no,
+            steps=none,
+            strides=none,
+            lost_track=no,
+            stuck_first=~at_once,
+            sensed=start_readout(self.motion) if self.senses else None,
+        )
+        return m._replace(over=self.rules.is_at_rest(m))
+
+    def step(self, m: LoopState, record: bool = False) -> tuple[LoopState, Stride | None]:
+        """One turn of the loop; also the step as a stride where one is asked for or needed."""
+        c = m.course
+
+        def field(p):
+            return self.motion.rates(c, p)
+
+        begin = self._look_at_start(m, field(m.s))
+        plan = self._plan_step(m, begin)
+        take = take_step_in_loop if self.looped else take_step
+        y, errors = take(field, m.s, begin.rate, plan.h)
+        end = self._look_at_end(c, y, field)
+        steady = self._is_steady(c, begin)
+        outcome = self._judge_step(m, plan, begin, end, errors, steady)
+        done = self._accept(m, plan, begin, end, outcome)
+        stride = None
+        if self.senses or record:
+            stride = self._record(m, begin, end, plan.h, outcome.dt)
+        if self.senses and stride is not None:
+            release = c.touching & ~done.course.touching
+            done = done._replace(sensed=sense(self.motion, m.sensed, stride, release))
+        new = select(outcome.accept, done, self._try_again(m, plan, outcome))
+        return self._count_step(m, new, outcome.accept, steady), stride
+
+    def _look(
+        self, c: Course, p: PhasePoint, r: PhasePoint
+    ) -> tuple[tuple[dict[Event, Array], Array], tuple[dict[Event, Array], Array]]:
+        """Guards and N at p, and their rates where p's own are r."""
+        return jax.jvp(lambda q: self.motion.guards(c, q), (p,), (r,))
+
+    def _look_at_start(self, m: LoopState, rate: PhasePoint) -> _Start:
+        (guards, N), (slopes, dN) = self._look(m.course, m.s, rate)
+        return _Start(rate, guards, slopes, N, dN)
+
+    def _look_at_end(
+        self, c: Course, y: PhasePoint, field: Callable[[PhasePoint], PhasePoint]
+    ) -> _End:
+        rate = field(y)
+        bend = jax.jvp(field, (y,), (rate,))[1]
+
+        def look(p, r):
+            return self._look(c, p, r)
+
+        values, rates = jax.jvp(look, (y, rate), (rate, bend))
+        ((guards, N), (slopes, dN)), (_, (bends, ddN)) = values, rates
+        return _End(y, rate, bend, guards, slopes, bends, N, dN, ddN)
+
+    def _plan_step(self, m: LoopState, begin: _Start) -> _Plan:
+        """How far: to the event aimed at; at rest straight to the breakaway, as the force grows
+        now; else as far as the last step's error lets."""
+        motion, c, s = self.motion, m.course, m.s
+        pusher = motion.rig.pusher
+        stuck = c.mode == Mode.STUCK
+        aims = m.target >= 0
+        short, slope = begin.guards[Event.BREAKAWAY], begin.slopes[Event.BREAKAWAY]
+        ahead = jnp.where(slope < 0, short / -slope, jnp.inf)
+        longest = _LONGEST * self.time
+        wait = jnp.where(c.touching & (ahead < longest), ahead, longest)
+        at_once = stuck if pusher.constant else jnp.asarray(False)
+        wait = jnp.where(at_once, wait, jnp.where(stuck, jnp.minimum(wait, m.h), m.h))
+        h = jnp.where(aims, m.h_target, jnp.minimum(wait, self._limit_by_touch(c, s, begin.rate.z)))
+        rests = jnp.where(stuck & c.touching, Event.BREAKAWAY, Event.NONE)
+        aim = jnp.where(aims, m.target, rests)
+        corner = None
+        if not pusher.constant:
+            corner = pusher.ramp_time(motion.v) - s.t
+            meets = ~c.risen & (corner <= h)
+            h = jnp.where(meets, corner, h)
+            aim = jnp.where(meets, Event.RAMP_END, aim)
+        return _Plan(stop_gradient(h), aim, aims, at_once, corner)
+
+    def _limit_by_touch(self, c: Course, s: PhasePoint, w: Array) -> Array:
+        """The longest step [s] in contact. Where a law is not smooth at first touch, its
+        derivatives are less so than its values: steps there shrink with the compression, which
+        grows at the rate w [m/s]."""
+        touched = (c.mode == Mode.CLOSING) | (c.mode == Mode.REBOUNDING)
+        graded = jnp.where(w > 0, 1.5, 0.6) * s.z / jnp.maximum(jnp.abs(w), 1e-12 * self.u_0)
+        rough = touched & self.motion.rig.contact.rough
+        return jnp.where(rough, jnp.maximum(graded, _FINEST * self.time), jnp.inf)
+
+    def _scale_error(self, errors: list[Array], mode: Array, h: Array) -> Array:
+        """The error of a step of h [s], in units of what it may be: at most 1 where the step is
+        good."""
+        # What goes wrong in contact is amplified by what follows, in a free slide it is not.
+        tol = self.tol * jnp.where(mode == Mode.FREE, 30.0, 1.0)
+        err = jnp.zeros_like(h)
+        for error, scale in zip(errors, (self.z_0, self.u_0, self.z_0, self.z_0), strict=False):
+            err = jnp.maximum(err, error / (scale * tol))
+        return stop_gradient(jnp.where(jnp.isfinite(err), err, 1e9))
+
+    def _guards(self, m: LoopState, plan: _Plan, begin: _Start, end: _End) -> dict[Event, Guard]:
+        """Every guard of the mode over the step, in the order in which they are asked."""
+        c, s, y, h = m.course, m.s, end.s, plan.h
+        found = {
+            event: Guard.of(
+                h,
+                (begin.guards[event], begin.slopes[event]),
+                (end.guards[event], end.slopes[event], end.bends[event]),
+            )
+            for event in end.guards
+        }
+        if plan.corner is not None:
+            waits = ~c.risen
+            slope = jnp.where(waits, -1.0, 0.0)
+            left = jnp.where(waits, plan.corner - (y.t - s.t), 1.0)
+            start = jnp.where(waits, plan.corner, 1.0), slope
+            found[Event.RAMP_END] = Guard.of(h, start, (left, slope, jnp.zeros_like(h)))
+        # The force is highest where its rate falls through zero, the part slowest where x'' rises.
+        closing = c.mode == Mode.CLOSING
+        rises = closing & ~m.summited & (begin.dN > 0)
+        slows = begin.rate.u < 0
+        slow = closing & ~m.slowed & slows & (jnp.minimum(s.u, y.u) < 0.05 * self.motion.v)
+        found[Event.FORCE_PEAK] = Guard.of_maximum(
+            h, rises, (begin.N, begin.dN), (end.N, end.dN, end.ddN)
+        )
+        found[Event.SLOWEST] = Guard.of_maximum(
+            h, slow, (-s.u, -begin.rate.u), (-y.u, -end.rate.u, -end.bend.u)
+        )
+        return found
+
+    def _is_steady(self, c: Course, begin: _Start) -> Array:
+        """Whether the part slides steadily before the tip, which has no events but the stop."""
+        turn, slope = begin.guards[Event.TURN], begin.slopes[Event.TURN]
+        quiet = jnp.abs(turn) + jnp.abs(slope) * self.time < STEADY * self.u_0
+        return ((c.mode == Mode.CLOSING) | (c.mode == Mode.REBOUNDING)) & quiet & ~c.stopped
+
+    def _judge_step(
+        self,
+        m: LoopState,
+        plan: _Plan,
+        begin: _Start,
+        end: _End,
+        errors: list[Array],
+        steady: Array,
+    ) -> _Outcome:
+        """Whether the step is good, and which event it ends on or goes beyond."""
+        h = plan.h
+        err = self._scale_error(errors, m.course.mode, h)
+        good = err <= 1
+        near = _CLOSE * jnp.maximum(m.h, h) / h
+        guards = self._guards(m, plan, begin, end)
+        crossing = find_crossing(guards, h, plan.aim, near, steady)
+        arrived = good & crossing.passed & (crossing.share >= 1 - near)
+        # Beyond the event the law may not be smooth: a poor step is cut there too.
+        cut = crossing.passed & (crossing.share < 1 - near)
+        dt = crossing.find_time_beyond(arrived, 3 * near * h)
+        return _Outcome(err, crossing, arrived, cut, good & ~cut, dt)
+
+    def _accept(
+        self, m: LoopState, plan: _Plan, begin: _Start, end: _End, outcome: _Outcome
+    ) -> LoopState:
+        """The state after the step, on the event that it has arrived at."""
+        arrived, dt = outcome.arrived, outcome.dt
+
+        def beyond(a, b, e):
+            return a + dt * b + 0.5 * dt * dt * e
+
+        at = jax.tree.map(beyond, end.s, end.rate, end.bend)
+        N = end.N + dt * (end.dN + 0.5 * dt * end.ddN)
+        force = jnp.where(N > begin.N, N, begin.N)
+        higher = outcome.accept & ~(force <= m.peak)  # so that a force that is no number shows
+        grow = jnp.clip(0.9 * jnp.maximum(outcome.err, 1e-9) ** (-1.0 / 8.0), 0.2, 4.0)
+        kept = jnp.maximum(m.h, jnp.where(plan.at_once, 0.0, plan.h))
+        event = jnp.where(arrived, outcome.crossing.event, Event.NONE)
+        done = self.rules.pass_event(m, event, at, end.rate.u)
+        return done._replace(
+            h=jnp.where(arrived | plan.at_once | plan.aims, kept, plan.h * grow),
+            peak=jnp.where(higher, force, m.peak),
+            peak_contact=jnp.where(higher, m.contacts, m.peak_contact),
+        )
+
+    def _try_again(self, m: LoopState, plan: _Plan, outcome: _Outcome) -> LoopState:
+        """The state before the same step, which is to end on the event that it went beyond, or to
+        be shorter by its error."""
+        err, crossing = outcome.err, outcome.crossing
+        shorter = plan.h * jnp.clip(0.9 * err**-0.25, 0.1, 0.7)
+        return m._replace(
+            target=jnp.where(outcome.cut, crossing.event, Event.NONE),
+            h_target=crossing.share * plan.h,
+            h=jnp.where(err <= 1, m.h, shorter),
+        )
+
+    def _count_step(self, m: LoopState, new: LoopState, accept: Array, steady: Array) -> LoopState:
+        """The new state, with the step counted; over where it leads nowhere."""
+        lost = new.h < _LOST * self.time
+        for_ever = steady & self.motion.rig.pusher.stops_at_release()
+        return new._replace(
+            steps=m.steps + 1,
+            strides=m.strides + accept,
+            over=new.over | lost | for_ever,
+            endless=new.endless | for_ever,
+            lost_track=m.lost_track | lost,
+        )
+
+    def _record(self, m: LoopState, begin: _Start, end: _End, h: Array, dt: Array) -> Stride:
+        """The step of h [s], and the Taylor step dt [s] beyond it, as functions of time."""
+        c = m.course
+        bend = jax.jvp(lambda p: self.motion.rates(c, p), (m.s,), (begin.rate,))[1]
+        h = jnp.maximum(h, 1e-12 * stop_gradient(self.time))
+        ends = (m.s, begin.rate, bend), (end.s, end.rate, end.bend)
+        return Stride.of(self.motion, c, *ends, h, 1 + dt / h)

@@ -7,33 +7,33 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Array, ArrayLike, Float, Int
 
 from difffric.compute.pytrees import select
 from difffric.compute.xla_options import in_one_piece
 from difffric.rig.rig import Rig
 from difffric.simulation.dynamics import Motion
 from difffric.simulation.stepping.dense_output import Stride
-from difffric.simulation.stepping.loop import Marcher
-from difffric.simulation.stepping.sensor_readout import Filtered, Passed
-from difffric.simulation.stepping.state import March
+from difffric.simulation.stepping.loop import StepLoop
+from difffric.simulation.stepping.sensor_readout import Filtered, PassedForce
+from difffric.simulation.stepping.state import LoopState
 
 _FEW = 16
-"""Strides that filters are taken through at once."""
+"""Strides that filters are taken through at once: more would be wasted on a short push."""
 
 
-class Path(NamedTuple):
+class PushPath(NamedTuple):
     """A push as its strides, to be evaluated at any time."""
 
     motion: Motion
     strides: Stride
     """stacked, padded with t = inf"""
-    end: March
-    filtered_strides: Passed | None = None
+    end: LoopState
+    filtered_strides: PassedForce | None = None
     """what the force sensor's filters let through, stacked likewise; None: it has none"""
 
-    def _at(self, time):
-        """(stride, its index, share of it) at a time; the end's state beyond the last one."""
+    def _find(self, time: Array) -> tuple[Stride, Array, Array, Array]:
+        """(stride, its index, share of it, whether it is past the last one) at a time [s]."""
         i = jnp.searchsorted(self.strides.t, time, side="right") - 1
         i = jnp.clip(i, 0, self.strides.t.shape[0] - 1)
         stride = jax.tree.map(lambda column: column[i], self.strides)
@@ -42,41 +42,43 @@ class Path(NamedTuple):
         course = select(over, self.end.course, stride.course)
         return stride._replace(course=course), i, jnp.clip(share, 0.0, 1.0), over
 
-    def evaluate(self, time):
+    def evaluate(self, time: Float[Array, ""]) -> tuple[Array, Array, Array]:
         """(contact force [N], position [m], speed [m/s]) at a time [s]; no force before 0."""
-        stride, _, share, over = self._at(time)
+        stride, _, share, over = self._find(time)
         s = stride.point(self.motion, share)
         end = self.end.s
         s = select(over, end, s._replace(q=end.q))
         force = jnp.where(time >= 0, self.motion.force(stride.course, s), 0.0)
         return force, self.motion.position(s), jnp.where(over, 0.0, s.u)
 
-    def read(self, t_force, t_position):
+    def read(
+        self, t_force: Float[Array, "*force"], t_position: Float[Array, "*position"]
+    ) -> tuple[Array, Array]:
         """What the sensors read: force [N] and position [m], each at its own times [s]."""
         sensor, probe = self.motion.rig.force_sensor, self.motion.rig.probe
-        force = jnp.vectorize(self.filtered)(t_force)
+        force = jnp.vectorize(self.filter_force)(t_force)
         at = jnp.vectorize(lambda time: self.evaluate(time)[1])
         return sensor.read(force), probe.read(at(t_position - probe.delay))
 
-    def filtered(self, time):
-        """The force that the sensor's filters let through [N]."""
+    def filter_force(self, time: Float[Array, ""]) -> Float[Array, ""]:
+        """The force [N] that the sensor's filters let through at a time [s]."""
         if self.filtered_strides is None:
             return self.evaluate(time)[0]
-        _, i, share, _ = self._at(time)
+        _, i, share, _ = self._find(time)
         passed = jax.tree.map(lambda column: column[i], self.filtered_strides)
         return jnp.where(time >= 0, passed.value(share), 0.0)
 
 
-def follow(marcher: Marcher, rows: int) -> tuple[March, Path]:
+def follow(loop: StepLoop, rows: int) -> tuple[LoopState, PushPath]:
     """Follow the push to its end, and keep so many strides at most."""
-    start = marcher.start()
-    blank = jax.eval_shape(lambda m: marcher.step(m, record=True)[1], start)
+    start = loop.start()
+    blank = jax.eval_shape(lambda m: loop.step(m, record=True)[1], start)
     table = jax.tree.map(lambda a: jnp.zeros((rows, *a.shape), a.dtype), blank)
     table = table._replace(t=jnp.full(rows, jnp.inf))
 
     def turn(carry):
         m, table = carry
-        new, stride = marcher.step(m, record=True)
+        new, stride = loop.step(m, record=True)
         accepted = new.strides > m.strides
         i = jnp.minimum(m.strides, rows - 1)
         table = jax.tree.map(
@@ -86,24 +88,26 @@ def follow(marcher: Marcher, rows: int) -> tuple[March, Path]:
         )
         return new, table
 
-    m, table = jax.lax.while_loop(lambda carry: marcher.goes_on(carry[0]), turn, (start, table))
+    m, table = jax.lax.while_loop(lambda carry: loop.is_unfinished(carry[0]), turn, (start, table))
     m = m._replace(lost_track=m.lost_track | (m.strides >= rows))
-    path = Path(marcher.motion, table, m)
-    filtered = marcher.motion.rig.force_sensor.filtered
-    return m, _with_filters(path, m.strides) if filtered else path
+    path = PushPath(loop.motion, table, m)
+    has_filters = loop.motion.rig.force_sensor.filtered
+    return m, _add_filters(path, m.strides) if has_filters else path
 
 
-def follow_together(marcher: Callable[[Rig, Array], Marcher], rigs: Rig, v, rows: int) -> Path:
+def follow_together(
+    build_loop: Callable[[Rig, Array], StepLoop], rigs: Rig, v: Float[Array, " n"], rows: int
+) -> PushPath:
     """The paths of many pushes, followed in one loop that ends with the last of them, for so many
     steps at most; `end.lost_track` says where that was too few, or a law gave no number.
 
-    `marcher(rig, v)` is mapped over rigs and speeds [m/s] with a leading axis. `vmap` of `follow`
-    would do the same, and copy the whole table of strides at each step.
+    `build_loop(rig, v)` is mapped over rigs and speeds [m/s] with a leading axis. `vmap` of
+    `follow` would do the same, and copy the whole table of strides at each step.
     """
 
     def step(rig, v, m):
-        here = marcher(rig, v)
-        on = here.goes_on(m)
+        here = build_loop(rig, v)
+        on = here.is_unfinished(m)
         new, stride = here.step(m, record=True)
         assert stride is not None
         # A step that is taken again has the time of the next one, which is found in its place;
@@ -116,7 +120,7 @@ def follow_together(marcher: Callable[[Rig, Array], Marcher], rigs: Rig, v, rows
     # Run loop by loop, starting the loops would cost more than what is in them.
     every = jax.vmap(step)
     every = in_one_piece(every) if rigs.only_own_laws else every
-    start = jax.vmap(lambda rig, v: marcher(rig, v).start())(rigs, v)
+    start = jax.vmap(lambda rig, v: build_loop(rig, v).start())(rigs, v)
     blank = jax.eval_shape(lambda m: every(rigs, v, m)[1], start)
     table = jax.tree.map(lambda a: jnp.zeros((rows, *a.shape), a.dtype), blank)
     table = table._replace(t=jnp.full((rows, *blank.t.shape), jnp.inf))
@@ -135,14 +139,14 @@ def follow_together(marcher: Callable[[Rig, Array], Marcher], rigs: Rig, v, rows
     m = m._replace(lost_track=m.lost_track | ~m.over)
 
     def path(rig, v, m, table):
-        found = Path(marcher(rig, v).motion, table, m)
-        return _with_filters(found, steps) if rig.force_sensor.filtered else found
+        found = PushPath(build_loop(rig, v).motion, table, m)
+        return _add_filters(found, steps) if rig.force_sensor.filtered else found
 
     table = jax.tree.map(lambda whole: jnp.moveaxis(whole, 0, 1), table)
     return jax.vmap(path)(rigs, v, m, table)
 
 
-def _with_filters(path: Path, steps) -> Path:
+def _add_filters(path: PushPath, steps: Int[ArrayLike, ""]) -> PushPath:
     """The path with what the force sensor's filters remember at each stride's start; `steps` of
     its rows are filled."""
     sensor, strides = path.motion.rig.force_sensor, path.strides
@@ -153,7 +157,7 @@ def _with_filters(path: Path, steps) -> Path:
         through = Filtered.of(sensor, N, state, h)
         after = through.low.value(end), through.high.value(end)
         new = tuple(jnp.where(there, a, b) for a, b in zip(after, state, strict=True))
-        return new, through.passed()
+        return new, through.to_passed()
 
     def some(first, state):
         """The next few rows."""
