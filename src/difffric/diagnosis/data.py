@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +33,20 @@ NOT_IN_RECORDINGS = ("sample_clipping", "release_threshold")
 """Effects that only reduced numbers have."""
 IN_SLIDES = ("quadratic_drag", "stribeck", "friction_drift", "normal_force")
 """Effects that a free slide shows, whose place on the rails is not known."""
+_FIRST_NOISE = 0.02
+"""Noise that is assumed where it is to be estimated, as a share of the largest number."""
+_SAME = 1e-6
+"""Relative difference up to which masses, or rests, are the same."""
+_FEWEST_FOR_DRIFT = 3
+"""Pushes that show a drift at least: fewer are a line whatever they are."""
+_SLIDE = 1e-3
+"""How far a part slides [m], about, where no distance was measured."""
+_UNSTOPPED = 10.0
+"""Compressions of the contact that a tip travels, about, where no stop is known."""
+_BEYOND = 1.2
+"""A compression that is thought of, over the one at the largest force."""
+_LEAST_SCATTER = 1e-4
+"""Relative scatter of mu_s from which a search starts at least, so that it can grow."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +60,7 @@ class DiagnosisData:
     impossible: dict[str, str]
     """effects that these data cannot show, with the reason"""
     reduction: Reduction | None
-    """of recordings"""
+    """of recordings; None: a table or free slides"""
 
 
 def prepare_data(
@@ -64,7 +79,6 @@ def prepare_data(
     order = measured.order if np.isfinite(measured.order).all() else np.arange(n, dtype=float)
     span = np.ptp(order)
     mass = np.where(np.isnan(measured.mass), float(rig.mass), measured.mass)
-    rest = measured.rest_before
     impossible = _list_impossible(measured, reduction, mass, span, slides)
     if reduction is None:
         noise = np.full((n, 2), np.nan) if noise is None else noise
@@ -78,20 +92,16 @@ def prepare_data(
         open_ = (False, False)
         left_out, kind = NOT_IN_RECORDINGS, RECORDINGS
     pushes = StackedPushes(
-        measured.velocity,
-        mass,
-        strokes,
-        (order - order.min()) / (span or 1.0),
-        np.nan_to_num(rest),
-        data,
+        velocity=measured.velocity,
+        mass=mass,
+        stroke=strokes,
+        share=(order - order.min()) / (span or 1.0),
+        rest=np.nan_to_num(measured.rest_before),
+        data=data,
     )
-    every = {e: {} for e in CATALOGUE if e not in left_out}
-    plain = parameters.with_stroke(rig, 1.0)
-    coordinates = Coordinates.of(extended(plain, every))
-    whole = extended(plain, {e: keys for e, keys in every.items() if e != PRESLIDING})
     names = list(dict.fromkeys(measured.condition))
     task = EnsembleTask(
-        model=ExtendedModel(coordinates, whole, pushes, kind),
+        model=_extend_by_all(rig, pushes, kind, left_out),
         shared=(),
         condition=np.array([names.index(c) for c in measured.condition]),
         open_spread=open_,
@@ -100,6 +110,18 @@ def prepare_data(
     looked_for = tuple(e for e in (*CATALOGUE, RATIO) if e not in left_out and e not in impossible)
     scales = _estimate_scales(rig, measured, strokes, mass)
     return DiagnosisData(task, scales, measured, looked_for, impossible, reduction)
+
+
+def _extend_by_all(
+    rig: Rig, pushes: StackedPushes, kind: str, left_out: Sequence[str]
+) -> ExtendedModel:
+    """Return the model of a plain rig with all effects of the catalogue at their nulls, but for
+    those left out. Bristles have no null: the model adds them itself where they are asked for."""
+    every = {e: {} for e in CATALOGUE if e not in left_out}
+    plain = parameters.with_stroke(rig, 1.0)
+    coordinates = Coordinates.of(extended(plain, every))
+    whole = extended(plain, {e: keys for e, keys in every.items() if e != PRESLIDING})
+    return ExtendedModel(coordinates, whole, pushes, kind)
 
 
 def _stack_table(
@@ -112,7 +134,7 @@ def _stack_table(
     unknown = np.any(there & np.isnan(noise), axis=0)
     open_ = bool(unknown[0]), bool(unknown[1])
     size = [np.abs(both[there[:, k], k]).max(initial=1e-9) for k in (0, 1)]
-    sd = np.where(np.isnan(noise), 0.02 * np.array(size), noise)
+    sd = np.where(np.isnan(noise), _FIRST_NOISE * np.array(size), noise)
     weight = np.where(there, 1.0 / sd, 0.0)
     return (np.where(there, both, 0.0), weight), there.astype(float), open_
 
@@ -133,11 +155,11 @@ def _list_impossible(
         out = {name: why for name, why in out.items() if name not in IN_SLIDES}
     if not np.isfinite(measured.rest_before).all():
         out["static_dwell"] = "the rest before each push (rest_before_s) is not recorded"
-    elif np.ptp(np.log1p(measured.rest_before)) < 1e-6:
+    elif np.ptp(np.log1p(measured.rest_before)) < _SAME:
         out["static_dwell"] = "every push had the same rest before it"
-    if span == 0 or len(measured) < 3:
+    if span == 0 or len(measured) < _FEWEST_FOR_DRIFT:
         out["friction_drift"] = "too few pushes to show a drift"
-    if np.ptp(mass) < 1e-6 * mass.max():
+    if np.ptp(mass) < _SAME * mass.max():
         out["normal_force"] = "every push had the same mass: a normal force is one with mu_s"
     if reduction is not None:
         for name in NOT_IN_RECORDINGS:
@@ -157,10 +179,10 @@ def _estimate_scales(rig: Rig, measured: Pushes, strokes: NDArray, mass: NDArray
     F, d = measured.peak_force, measured.sliding_distance
     mu = float(parameters.values(rig)["mu_s"])
     peak = float(np.nanmax(F)) if np.isfinite(F).any() else mu * float(mass.max()) * GRAVITY
-    slid = float(np.nanmax(d)) if np.isfinite(d).any() else 1e-3
+    slid = float(np.nanmax(d)) if np.isfinite(d).any() else _SLIDE
     contact = peak / float(parameters.values(rig)["k_N_per_m"])
     finite = strokes[np.isfinite(strokes)]
-    travel = float(np.median(finite)) if len(finite) else 10 * contact
+    travel = float(np.median(finite)) if len(finite) else _UNSTOPPED * contact
     return Scales(
         mass=float(mass.mean()),
         mu_s=mu,
@@ -169,7 +191,7 @@ def _estimate_scales(rig: Rig, measured: Pushes, strokes: NDArray, mass: NDArray
         peak=peak,
         reach=travel + slid,
         travel=travel,
-        compression=1.2 * contact,
+        compression=_BEYOND * contact,
         ways=np.where(np.isfinite(strokes), strokes, travel) + np.nan_to_num(d),
     )
 
@@ -195,5 +217,5 @@ def join_plain_fit(data: DiagnosisData, fit: Fit) -> tuple[DiagnosisData, Fits]:
     log_mu = np.log(fit.mu_s)
     mu = np.array([[log_mu[task.condition == k].mean() for k in range(task.conditions)]])
     own = (log_mu - mu[0, task.condition])[None]
-    fits = Fits(((),), c, mu, own, np.array([max(fit.scatter, 1e-4)]), np.ones((1, 2)))
+    fits = Fits(((),), c, mu, own, np.array([max(fit.scatter, _LEAST_SCATTER)]), np.ones((1, 2)))
     return replace(data, task=task, looked_for=looked_for), fits
