@@ -136,13 +136,13 @@ def from_truth(fit, rig: reference.Rig, own: np.ndarray):
     """The same fit of the same samples, settled from the truth, with each push's own mu_s; None
     where that leads nowhere."""
     import difffric as df
-    from difffric.estimation import coordinates, mixed_fit
+    from difffric.estimation import coordinates, descent, mixed_fit
 
     model, data = fit.state.model, fit.state.data
     true = true_values(rig)
     theta = np.array([coordinates.to_coordinate(x, true[x]) for x in figures.LABELS])
     at = replace(
-        mixed_fit.first_point(model, data, theta),
+        descent.first_point(model, data, theta),
         s_eta=np.log(own / rig.mu_s),
         scatter=max(rig.scatter, LEAST_SCATTER),
     )

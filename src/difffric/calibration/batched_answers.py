@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
 from difffric.compute.xla_options import soon_compiled
-from difffric.estimation.mixed_fit import Model, pose_problem
+from difffric.estimation.descent import Model, pose_problem
 from difffric.estimation.mixed_model import Problem
 from difffric.estimation.stacked_data import FitData
 

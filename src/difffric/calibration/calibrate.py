@@ -16,7 +16,7 @@ from difffric.calibration.result_builder import build_fit
 from difffric.compute.precision import require_float64
 from difffric.errors import InputError
 from difffric.estimation.coordinates import layout
-from difffric.estimation.mixed_fit import Model
+from difffric.estimation.descent import Model
 from difffric.estimation.stacked_data import sensor_errors, slides_data, table_data
 from difffric.measurements.checks import checked_data
 from difffric.measurements.pushes import Pushes

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from difffric.calibration.free_parameters import USUAL_SCATTER, choose_free, given_values
 from difffric.errors import InputError
 from difffric.estimation.coordinates import layout, slope
+from difffric.estimation.descent import Model
 from difffric.estimation.information import design_data, information, responses
-from difffric.estimation.mixed_fit import Model
 from difffric.estimation.open_parameters import list_undetermined, open_units
 from difffric.estimation.restricted_likelihood import invert_information
 from difffric.estimation.stacked_data import sensor_errors

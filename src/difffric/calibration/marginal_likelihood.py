@@ -15,7 +15,7 @@ import scipy
 from numpy.typing import NDArray
 
 from difffric.calibration.batched_answers import BATCH, compute_answers, weigh_residuals
-from difffric.estimation.mixed_fit import Model, Settled
+from difffric.estimation.descent import Model, Settled
 from difffric.estimation.stacked_data import FitData
 
 _LEAST_SCATTER = 1e-6

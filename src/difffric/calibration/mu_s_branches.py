@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.calibration.batched_answers import BATCH, compute_answers, weigh_residuals
-from difffric.estimation.mixed_fit import ARRIVED, Model, Settled, rescan_push_friction, settle
+from difffric.estimation.descent import ARRIVED, Model, Settled
+from difffric.estimation.mixed_fit import rescan_push_friction, settle
 from difffric.estimation.stacked_data import FitData
 
 _NO_ANSWER = 1e9

@@ -15,15 +15,8 @@ from difffric.calibration.result import FitState
 from difffric.calibration.table_starts import rank_starts
 from difffric.errors import NumericalError
 from difffric.estimation.coordinates import Layout
-from difffric.estimation.mixed_fit import (
-    Model,
-    Settled,
-    descend,
-    first_point,
-    rescan_push_friction,
-    settle,
-    take_end,
-)
+from difffric.estimation.descent import Model, Settled, descend, first_point, take_end
+from difffric.estimation.mixed_fit import rescan_push_friction, settle
 from difffric.estimation.stacked_data import TABLE, FitData
 from difffric.progress import Tell
 from difffric.rig import parameters

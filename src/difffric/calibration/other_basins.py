@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from difffric.calibration.batched_answers import BATCH, compute_answers, weigh_residuals
 from difffric.calibration.table_starts import gather_starts
-from difffric.estimation.mixed_fit import Model, Settled, full_covariance
+from difffric.estimation.descent import Model, Settled
+from difffric.estimation.mixed_fit import full_covariance
 from difffric.estimation.stacked_data import FitData
 
 _POOL = 4 * BATCH

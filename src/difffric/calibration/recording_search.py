@@ -15,16 +15,8 @@ from difffric.calibration.result import FitState
 from difffric.calibration.table_starts import fit_forces
 from difffric.errors import InputError, NumericalError
 from difffric.estimation import coordinates
-from difffric.estimation.mixed_fit import (
-    ROUNDS,
-    Model,
-    Settled,
-    descent_to_compile,
-    first_point,
-    rescan_push_friction,
-    settle,
-    spread_push_friction,
-)
+from difffric.estimation.descent import Model, Settled, descent_to_compile, first_point
+from difffric.estimation.mixed_fit import ROUNDS, rescan_push_friction, settle, spread_push_friction
 from difffric.estimation.stacked_data import (
     FitData,
     as_if_white,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from difffric.calibration.report_text import format_fit
 from difffric.estimation.coordinates import has_vanished, slope, to_value
-from difffric.estimation.mixed_fit import Model, Settled
+from difffric.estimation.descent import Model, Settled
 from difffric.estimation.open_parameters import list_undetermined, open_units
 from difffric.estimation.stacked_data import RECORDINGS, SLIDES, FitData
 from difffric.measurements.pushes import Pushes

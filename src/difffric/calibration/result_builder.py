@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from difffric.calibration.result import Fit, FitState
 from difffric.estimation.coordinates import NOTHING
-from difffric.estimation.mixed_fit import Model, Settled, linearise_at, start_offsets
+from difffric.estimation.descent import Model, Settled, linearise_at, start_offsets
 from difffric.estimation.stacked_data import RECORDINGS, FitData
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.reduction.reduce import Reduction

@@ -15,14 +15,7 @@ from numpy.typing import NDArray
 from difffric.calibration.batched_answers import BATCH, compute_answers, stack_measured
 from difffric.calibration.free_parameters import USUAL_SCATTER
 from difffric.estimation.coordinates import to_coordinate
-from difffric.estimation.mixed_fit import (
-    Model,
-    Settled,
-    descend,
-    first_point,
-    linearise_at,
-    take_end,
-)
+from difffric.estimation.descent import Model, Settled, descend, first_point, linearise_at, take_end
 from difffric.estimation.stacked_data import FitData
 from difffric.rig import parameters
 from difffric.units import GRAVITY

@@ -1,34 +1,40 @@
 """Many fits of one data set at once: each has effects of its own, all share the compiled program.
 
 A fit moves the plain parameters, a mu_s of each condition and of each push (which scatters about
-it), and the numbers of its effects. Its answers come as Gram matrices, so that everything else is
-small linear algebra, done for all fits together: here the normal equations, the scatter by
-restricted maximum likelihood, spreads that are not known; `refits` moves the fits.
+it), and the numbers of its effects. `extended_model` answers with Gram matrices, so that everything
+else is small linear algebra, done for all fits together. This module has the normal equations, the
+scatter by restricted maximum likelihood, and the spreads that are not known; `ensemble_refits`
+moves the fits. Axes: m fits, n pushes, K coordinates, D directions in which a fit moves, P
+parameters of its normal equations (the conditions' mu_s and the other directions).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from difffric.estimation.extended_model import ExtendedModel
 
 _SCATTERS = np.geomspace(1e-6, 0.3, 40)
-"""Relative scatters of mu_s that are looked at."""
+"""Relative scatters of mu_s that are looked at, from none to more than a guide ever has."""
 REJECTED = 1e12
-"""The square of a residual where a push could not be followed."""
+"""The square of a residual where a push could not be followed: no fit goes there."""
 SUBSET = 6
 """Pushes that a scan looks at: enough speeds to tell effects apart, at a fraction of the cost."""
 _LEAST_DIAGONAL = 1e-9
+"""A diagonal of the normal equations up to this says that nothing depends on the parameter."""
 _RIDGE = 1e-13
+"""What is added to a unit diagonal, so that equations that are singular but for rounding have a
+solution."""
 
 
 @dataclass(frozen=True)
 class EnsembleTask:
-    """A data set, the parameters that are free in every fit, and what is known of the noise."""
+    """What all fits of an ensemble have in common: the data, the parameters that are free in every
+    fit, and what is known of the noise."""
 
     model: ExtendedModel
     shared: tuple[int, ...]
@@ -48,7 +54,7 @@ class EnsembleTask:
 
     @property
     def n(self) -> int:
-        """Pushes."""
+        """The number of pushes."""
         return len(self.condition)
 
     @property
@@ -58,15 +64,16 @@ class EnsembleTask:
 
     @property
     def conditions(self) -> int:
-        """How many there are."""
+        """The number of conditions."""
         return int(self.condition.max()) + 1
 
 
 @dataclass(frozen=True)
 class Fits:
-    """m fits where they stand; `extra[j]` are the coordinates that are free in fit j alone."""
+    """m fits where they stand."""
 
     extra: tuple[tuple[int, ...], ...]
+    """entry j: the coordinates that are free in fit j alone"""
     c: NDArray
     """(m, K) coordinates; that of mu_s is not used"""
     mu: NDArray
@@ -78,35 +85,36 @@ class Fits:
     spread: NDArray
     """(m, 2) factor of the noise of each channel"""
     gram: Any = None
-    """(m, n, 2, D + 1, D + 1) of the answers there"""
+    """(m, n, 2, D + 1, D + 1) of the answers there; None: not asked for yet"""
     residual: Any = None
-    """(m, n, 2, blocks) whitened"""
+    """(m, n, 2, blocks) whitened; None likewise"""
     damping: Any = None
-    """(m,) Levenberg and Marquardt's"""
+    """(m,) Levenberg and Marquardt's; None: as a search starts"""
 
     @property
     def m(self) -> int:
-        """How many fits."""
+        """The number of fits."""
         return len(self.c)
 
-    def pick(self, which) -> Fits:
-        """Some of them."""
+    def pick(self, which: ArrayLike) -> Fits:
+        """Some of the fits, by their numbers."""
         which = np.atleast_1d(np.asarray(which, int))
 
-        def of(x):
+        def take(x: NDArray | None) -> NDArray | None:
             return None if x is None else x[which]
 
-        return Fits(
-            tuple(self.extra[j] for j in which), self.c[which], self.mu[which], self.own[which],
-            self.scatter[which], self.spread[which], of(self.gram), of(self.residual),
-            of(self.damping),
-        )  # fmt: skip
+        arrays = {name: take(getattr(self, name)) for name in _ARRAYS}
+        return replace(self, extra=tuple(self.extra[j] for j in which), **arrays)
+
+
+_ARRAYS = ("c", "mu", "own", "scatter", "spread", "gram", "residual", "damping")
+"""The fields of `Fits` that are arrays with a row a fit."""
 
 
 def join(*parts: Fits) -> Fits:
-    """Several ensembles of the same pushes as one; their answers, if all have them."""
+    """Several ensembles of the same pushes as one, with their answers if all have them."""
 
-    def of(name) -> Any:
+    def concatenate(name: str) -> NDArray | None:
         columns = [getattr(p, name) for p in parts]
         if any(x is None for x in columns):
             return None
@@ -115,12 +123,12 @@ def join(*parts: Fits) -> Fits:
             columns = [widen(x, size) for x in columns]
         return np.concatenate(columns)
 
-    names = ("c", "mu", "own", "scatter", "spread", "gram", "residual", "damping")
-    return Fits(sum((p.extra for p in parts), ()), *(of(name) for name in names))
+    extra = tuple(own for p in parts for own in p.extra)
+    return replace(parts[0], extra=extra, **{name: concatenate(name) for name in _ARRAYS})
 
 
 def choose_subset(task: EnsembleTask, most: int = SUBSET) -> NDArray:
-    """Pushes over all speeds and conditions for a scan."""
+    """The numbers of some `most` pushes for a scan: over all speeds, and one of each condition."""
     v = np.asarray(task.model.pushes.velocity)
     if task.n <= most:
         return np.arange(task.n)
@@ -132,8 +140,8 @@ def choose_subset(task: EnsembleTask, most: int = SUBSET) -> NDArray:
     return np.array(sorted(chosen))
 
 
-def widen(gram, size):
-    """With empty columns before the residual's."""
+def widen(gram: NDArray, size: int) -> NDArray:
+    """Gram matrices (..., D + 1, D + 1) with empty columns before the residual's, up to `size`."""
     missing = size - gram.shape[-1]
     if not missing:
         return gram
@@ -144,7 +152,8 @@ def widen(gram, size):
 
 
 def directions(task: EnsembleTask, fits: Fits) -> NDArray:
-    """(m, D, K): mu_s, the shared parameters, each fit's own; padded with nothing."""
+    """The directions (m, D, K) in which each fit moves: mu_s, the shared parameters, the fit's own
+    coordinates; padded with zeros."""
     K, base = fits.c.shape[1], [0, *task.shared]
     D = len(base) + max((len(x) for x in fits.extra), default=0)
     out = np.zeros((fits.m, D, K))
@@ -155,8 +164,8 @@ def directions(task: EnsembleTask, fits: Fits) -> NDArray:
 
 
 def evaluate(task: EnsembleTask, fits: Fits, pushes: NDArray | None = None) -> Fits:
-    """The fits with their answers where they stand, of all pushes or of some (the others' stay,
-    or are nothing)."""
+    """The fits with the model's answers where they stand, for all pushes or for some; those for the
+    others are then zero. A push that could not be followed answers with `REJECTED`."""
     which = np.arange(task.n) if pushes is None else np.asarray(pushes)
     c = np.repeat(fits.c[:, None], len(which), axis=1)
     c[:, :, 0] = fits.mu[:, task.condition[which]] + fits.own[:, which]
@@ -172,19 +181,37 @@ def evaluate(task: EnsembleTask, fits: Fits, pushes: NDArray | None = None) -> F
     gram[..., -1, -1] += np.where(bad, REJECTED, 0.0)[:, :, None]
     residual = found.residual.reshape(*shape, *found.residual.shape[1:])
     if len(which) < task.n:
-        gram, residual = (_place(x, which, task.n) for x in (gram, residual))
+        gram, residual = (_fill_pushes(x, which, task.n) for x in (gram, residual))
     return replace(fits, gram=gram, residual=residual)
 
 
-def _place(x, which, n):
+def _fill_pushes(x: NDArray, which: NDArray, n: int) -> NDArray:
+    """The array (m, some, ...) with its second axis as part of n pushes, zero elsewhere."""
     out = np.zeros((x.shape[0], n, *x.shape[2:]))
     out[:, which] = x
     return out
 
 
+class PushParts(NamedTuple):
+    """What each push adds to the normal equations of m fits."""
+
+    H: NDArray
+    """(m, n, P, P)"""
+    h: NDArray
+    """(m, n, P)"""
+    z: NDArray
+    """(m, n)"""
+    g: NDArray
+    """(m, n, P)"""
+    gm: NDArray
+    """(m, n)"""
+    rr: NDArray
+    """(m, n) sums of squares"""
+
+
 @dataclass(frozen=True)
 class NormalEquations:
-    """The normal equations of m fits with each push's own mu_s eliminated."""
+    """The normal equations H x = -g of m fits, each push's own mu_s eliminated."""
 
     H: NDArray
     """(m, P, P)"""
@@ -195,13 +222,13 @@ class NormalEquations:
     z: NDArray
     """(m, n) information on each push's own log mu_s"""
     h: NDArray
-    """(m, n, P)"""
+    """(m, n, P) products of each push's own log mu_s with the parameters"""
     gm: NDArray
-    """(m, n)"""
+    """(m, n) slope of the sum of squares along each push's own log mu_s, but for its scatter"""
 
 
-def split_by_push(task: EnsembleTask, fits: Fits):
-    """Blocks by push at own mu_s = 0: (H_i, h_i, z_i, g_i, gm_i, rr_i)."""
+def split_by_push(task: EnsembleTask, fits: Fits) -> PushParts:
+    """What each push adds to the normal equations, with its own mu_s taken to be zero."""
     G = np.einsum("mnkij,mk->mnij", fits.gram, 1.0 / fits.spread**2)
     n, size = G.shape[1:3]
     D, C = size - 1, task.conditions
@@ -216,11 +243,17 @@ def split_by_push(task: EnsembleTask, fits: Fits):
     g = np.einsum("nap,mna->mnp", S, G[:, :, :D, -1]) - h * e[:, :, None]
     gm = G[:, :, 0, -1] - z * e
     rr = G[:, :, -1, -1] - 2 * e * G[:, :, 0, -1] + z * e**2
-    return H, h, z, g, gm, rr
+    return PushParts(H, h, z, g, gm, rr)
 
 
-def normal_equations(task: EnsembleTask, fits: Fits, scatter=None, parts=None) -> NormalEquations:
-    """The normal equations for a scatter (m,)."""
+def normal_equations(
+    task: EnsembleTask,
+    fits: Fits,
+    scatter: NDArray | None = None,
+    parts: PushParts | None = None,
+) -> NormalEquations:
+    """The normal equations for a scatter (m,), by default the fits' own; `parts` are theirs of
+    `split_by_push`, if they are known already."""
     H, h, z, g, gm, rr = split_by_push(task, fits) if parts is None else parts
     s = fits.scatter if scatter is None else scatter
     weight = 1.0 / (z + 1.0 / s[:, None] ** 2)
@@ -237,7 +270,7 @@ def normal_equations(task: EnsembleTask, fits: Fits, scatter=None, parts=None) -
 
 
 def _make_prior(task: EnsembleTask, fits: Fits, P: int) -> tuple[NDArray, NDArray]:
-    """(m, P) precision and values of what is assumed to be small."""
+    """The precision (m, P) of what is assumed to be small, and its values (m, P)."""
     precision, at = np.zeros((2, fits.m, P))
     if task.prior is not None:
         for j, extra in enumerate(fits.extra):
@@ -247,8 +280,8 @@ def _make_prior(task: EnsembleTask, fits: Fits, P: int) -> tuple[NDArray, NDArra
 
 
 def _scale(H: NDArray) -> tuple[NDArray, NDArray]:
-    """(m, P, P) with a unit diagonal, apart from any others where nothing depends on a parameter;
-    and the (m, P) roots of the diagonal."""
+    """H (m, P, P) scaled to a unit diagonal, and the roots (m, P) of the diagonal that it was
+    divided by. A parameter on which nothing depends stands apart from the others."""
     diagonal = np.einsum("mpp->mp", H)
     scale = np.sqrt(np.maximum(diagonal, _LEAST_DIAGONAL))
     there = diagonal > _LEAST_DIAGONAL
@@ -257,8 +290,9 @@ def _scale(H: NDArray) -> tuple[NDArray, NDArray]:
     return np.where(there[:, :, None] & there[:, None, :], A, unit) + _RIDGE * unit, scale
 
 
-def solve(H: NDArray, g: NDArray, damping=0.0) -> NDArray:
-    """(m, P) steps; a parameter that nothing depends on stays."""
+def solve(H: NDArray, g: NDArray, damping: ArrayLike = 0.0) -> NDArray:
+    """The steps (m, P) that solve the normal equations H (m, P, P), g (m, P) with Levenberg and
+    Marquardt's damping (m,); a parameter on which nothing depends stays where it is."""
     A, scale = _scale(H)
     lam = np.broadcast_to(np.asarray(damping, float), (len(H),))
     A = A + lam[:, None, None] * np.eye(A.shape[1])
@@ -268,22 +302,25 @@ def solve(H: NDArray, g: NDArray, damping=0.0) -> NDArray:
 
 
 def criterion(task: EnsembleTask, fits: Fits) -> NDArray:
-    """(m,) -2 times the log likelihood where the fits stand, their own mu_s averaged over: sum of
-    squares, and what the scatter and the spreads that were estimated cost."""
+    """-2 times the log likelihood (m,) where the fits stand, averaged over each push's own mu_s.
+
+    It is the sum of squares, and what the scatter and the spreads that were estimated cost.
+    """
     found = normal_equations(task, fits)
     return profile_cost(task, fits, found) + _compute_volume(task, fits, found.z)
 
 
 def profile_cost(task: EnsembleTask, fits: Fits, found: NormalEquations | None = None) -> NDArray:
-    """(m,) the sum of squares, each push's own mu_s brought to what is best there: as far as a
-    linear prediction is to be trusted, which is no more than a standard deviation."""
+    """The sum of squares (m,) with each push's own mu_s at its best, as a linear prediction has it:
+    it is trusted for no more than a standard deviation."""
     found = normal_equations(task, fits) if found is None else found
     weight = found.z + 1.0 / fits.scatter[:, None] ** 2
     away = -found.gm / weight - fits.own
     return sum_squares(task, fits) - np.minimum(away**2 * weight, 1.0).sum(axis=1)
 
 
-def _compute_volume(task: EnsembleTask, fits: Fits, z) -> NDArray:
+def _compute_volume(task: EnsembleTask, fits: Fits, z: NDArray) -> NDArray:
+    """The logarithmic part (m,) of -2 log likelihood: of the scatter and of estimated spreads."""
     spread = sum(
         2 * task.counts[:, k].sum() * np.log(fits.spread[:, k])
         for k in (0, 1)
@@ -293,11 +330,15 @@ def _compute_volume(task: EnsembleTask, fits: Fits, z) -> NDArray:
 
 
 def estimate_scatters(task: EnsembleTask, fits: Fits) -> Fits:
-    """The fits with the scatter that the restricted likelihood prefers, and the spreads that the
-    residuals show, where these are to be estimated."""
+    """The fits with the scatter of mu_s at which the restricted likelihood is largest, and the
+    spreads that the residuals show, where these are to be estimated.
+
+    The scatter is looked for on a grid, for all fits together; `restricted_likelihood` does the
+    same for one fit, to more digits.
+    """
     for k in (0, 1):
         if task.open_spread[k]:
-            rss = np.maximum(_sum_residuals(task, fits, k), 1e-300)
+            rss = np.maximum(_sum_residuals(fits, k), 1e-300)
             # Each parameter takes its share of the residuals.
             lost = (fits.gram.shape[-1] - 1) * task.counts[:, k].sum() / task.counts.sum()
             freedom = np.maximum(task.counts[:, k].sum() - lost, 1.0)
@@ -308,7 +349,7 @@ def estimate_scatters(task: EnsembleTask, fits: Fits) -> Fits:
         return fits
     parts = split_by_push(task, fits)
 
-    def cost(scatter):
+    def cost(scatter: NDArray) -> NDArray:
         # Where the shared parameters stand: where a step would lead is not to be trusted yet.
         found = normal_equations(task, fits, scatter, parts)
         A, scale = _scale(found.H)
@@ -324,12 +365,14 @@ def estimate_scatters(task: EnsembleTask, fits: Fits) -> Fits:
     return replace(fits, scatter=best)
 
 
-def _sum_residuals(task: EnsembleTask, fits: Fits, channel: int) -> NDArray:
+def _sum_residuals(fits: Fits, channel: int) -> NDArray:
+    """The sum of squares (m,) of one channel over all pushes."""
     return fits.gram[:, :, channel, -1, -1].sum(axis=1)
 
 
 def sum_squares(task: EnsembleTask, fits: Fits, some: NDArray | None = None) -> NDArray:
-    """(m,) the sum of squares of all pushes, or of some, each push's own mu_s as it is."""
+    """The penalised sum of squares (m,) of all pushes, or of some, with each push's own mu_s as it
+    is."""
     some = np.arange(task.n) if some is None else some
     rss = np.einsum("mnk,mk->m", fits.gram[:, some][..., -1, -1], 1.0 / fits.spread**2)
     if task.prior is not None:
@@ -338,8 +381,8 @@ def sum_squares(task: EnsembleTask, fits: Fits, some: NDArray | None = None) -> 
 
 
 def covariance(task: EnsembleTask, fits: Fits) -> NDArray:
-    """(m, P, P) of mu_s, the shared parameters and each fit's own, as coordinates; zero for what is
-    at a bound, where the others' are as if it were known."""
+    """The covariance (m, P, P) of the coordinates: the conditions' mu_s, the shared parameters and
+    each fit's own. It is zero for what is at a bound, and the others' as if that were known."""
     H = normal_equations(task, fits).H
     held = _find_at_bound(task, fits, H.shape[1])
     held = held[:, :, None] | held[:, None, :]
@@ -348,7 +391,7 @@ def covariance(task: EnsembleTask, fits: Fits) -> NDArray:
 
 
 def _find_at_bound(task: EnsembleTask, fits: Fits, P: int) -> NDArray:
-    """(m, P) which columns are at a bound."""
+    """Whether each parameter (m, P) is at a bound."""
     coordinates, out = task.model.coordinates, np.zeros((fits.m, P), bool)
     for j, extra in enumerate(fits.extra):
         for k, i in enumerate([*task.shared, *extra]):

@@ -1,4 +1,9 @@
-"""An ensemble's fits on the move: Levenberg-Marquardt within bounds; held-out pushes."""
+"""How an ensemble's fits move: Levenberg-Marquardt within bounds, and pushes that are held out.
+
+`refit` takes all fits to their optima together. Where a push has several mu_s that fit, no small
+step leads from one to another: `rescan_bad_pushes` and `rescan_loose_pushes` look on a grid.
+`predict_held_out` says what fits to the other pushes make of each push. Axes as in `ensemble`.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +11,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from difffric.estimation import ensemble as en
 from difffric.estimation.ensemble import EnsembleTask, Fits
@@ -14,26 +19,38 @@ from difffric.estimation.ensemble import EnsembleTask, Fits
 _STALE = 1.0
 """Standard deviations that a push's own mu_s may be off where a fit stands."""
 _SETTLING = 2
+"""Times that it is brought closer."""
+_FAR = 0.5
+"""A push's own log mu_s is not moved further than this at once: a linear prediction is no guide."""
 _BAD = 3.0
 """Squared residual per number from which a push fits badly."""
 _ASTRAY = 3.0
 """Times what a push's squares are where it is fitted, or would be: a prediction beyond is no mere
 lack of data."""
 _ANEW = 10
+"""Rounds of a fit that is made anew for a push that is held out."""
 _JUMP = 3.0
 """Standard deviations of chi-square beyond the fit's, from which a prediction may be on another
 branch of its own mu_s."""
 _OWN = np.linspace(-0.35, 0.35, 21)
+"""The own log mu_s that are tried in a push that fits badly."""
 _LOOSE, _NEAR = 5e-4, np.linspace(-3.0, 3.0, 13)
-"""Standard error of a push's own mu_s from which it is looked for on a grid, and the grid in units
-of it."""
+"""The standard error of a push's own log mu_s from which it is looked for on a grid, and the grid
+in units of it."""
 _WORTH = 1.0
 """By how much a sum of squares must fall to be worth another branch."""
 
 
-def solve_within(H, g, now, lower, upper, damping=0.0) -> NDArray:
-    """(m, P) steps that end within bounds: what would cross one ends there, and the others make
-    the best of it."""
+def solve_within(
+    H: NDArray,
+    g: NDArray,
+    now: NDArray,
+    lower: NDArray,
+    upper: NDArray,
+    damping: ArrayLike = 0.0,
+) -> NDArray:
+    """The steps (m, P) that solve the normal equations H (m, P, P), g (m, P) from `now` (m, P) and
+    end within bounds: what would cross one ends there, and the others make the best of it."""
     stopped = np.zeros(now.shape, bool)
     end = np.zeros(now.shape)
     for _ in range(5):
@@ -49,8 +66,9 @@ def solve_within(H, g, now, lower, upper, damping=0.0) -> NDArray:
     return np.clip(now + step, lower, upper) - now
 
 
-def take_step(task: EnsembleTask, fits: Fits, damping) -> Fits:
-    """The fits one damped Gauss-Newton step on, within the bounds; answers not yet there."""
+def take_step(task: EnsembleTask, fits: Fits, damping: ArrayLike) -> Fits:
+    """The fits after one damped Gauss-Newton step within the bounds; their answers are still those
+    of before, so that `gram` is None."""
     found = en.normal_equations(task, fits)
     now = _gather_point(task, fits)
     step = solve_within(found.H, found.g, now, *_find_limits(task, fits), damping)
@@ -61,31 +79,35 @@ def take_step(task: EnsembleTask, fits: Fits, damping) -> Fits:
 
 
 def _settle_own(task: EnsembleTask, fits: Fits, pushes: NDArray | None) -> Fits:
-    """The fits followed where they stand, each push's own mu_s brought to what is best there:
-    what a step said of it is not exact, and a push may tell its mu_s to a part in ten thousand."""
+    """The fits with the answers where they stand, and each push's own mu_s at what is best there.
+
+    What a step said of the own mu_s is not exact, and a push may tell it to a part in ten thousand.
+    """
     fits = en.evaluate(task, fits, pushes)
     for _ in range(_SETTLING if task.mu_free else 0):
         found = en.normal_equations(task, fits)
         best = -found.gm / (found.z + 1.0 / fits.scatter[:, None] ** 2)
         away = np.abs(best - fits.own)
         off = (away * np.sqrt(found.z)).max(axis=1) > _STALE
-        off &= np.isfinite(best).all(axis=1) & (away.max(axis=1) < 0.5)
+        off &= np.isfinite(best).all(axis=1) & (away.max(axis=1) < _FAR)
         if not off.any():
             break
-        again = fits.pick(off := np.flatnonzero(off))
-        again = en.evaluate(task, replace(again, own=best[off]), pushes)
-        better = en.sum_squares(task, again) < en.sum_squares(task, fits.pick(off))
+        which = np.flatnonzero(off)
+        at = fits.pick(which)
+        again = en.evaluate(task, replace(at, own=best[which]), pushes)
+        better = en.sum_squares(task, again) < en.sum_squares(task, at)
         if better.any():
-            fits = replace_fits(fits, off[better], again.pick(np.flatnonzero(better)))
+            fits = replace_fits(fits, which[better], again.pick(np.flatnonzero(better)))
     return fits
 
 
 def _list_columns(task: EnsembleTask, extra: tuple[int, ...]) -> list[int]:
-    """Coordinates behind the columns after the conditions' mu_s."""
+    """The coordinates behind the parameters after the conditions' mu_s."""
     return [*task.shared, *extra]
 
 
-def _find_limits(task: EnsembleTask, fits: Fits):
+def _find_limits(task: EnsembleTask, fits: Fits) -> tuple[NDArray, NDArray]:
+    """The lower and the upper bounds (m, P) of the parameters."""
     coordinates, P = task.model.coordinates, _gather_point(task, fits).shape[1]
     lower, upper = np.full((fits.m, P), -np.inf), np.full((fits.m, P), np.inf)
     for j, extra in enumerate(fits.extra):
@@ -97,6 +119,7 @@ def _find_limits(task: EnsembleTask, fits: Fits):
 
 
 def _gather_point(task: EnsembleTask, fits: Fits) -> NDArray:
+    """The parameters (m, P) where the fits stand."""
     width = len(task.shared) + max((len(x) for x in fits.extra), default=0)
     if fits.gram is not None:
         width = max(width, fits.gram.shape[-1] - 2)
@@ -109,6 +132,7 @@ def _gather_point(task: EnsembleTask, fits: Fits) -> NDArray:
 
 
 def _place_at(task: EnsembleTask, fits: Fits, point: NDArray) -> Fits:
+    """The fits with their parameters at `point` (m, P)."""
     c = fits.c.copy()
     for j, extra in enumerate(fits.extra):
         for k, i in enumerate(_list_columns(task, extra)):
@@ -119,9 +143,9 @@ def _place_at(task: EnsembleTask, fits: Fits, point: NDArray) -> Fits:
 def refit(
     task: EnsembleTask, fits: Fits, rounds: int, pushes: NDArray | None = None, tol: float = 0.02
 ) -> Fits:
-    """The fits after at most `rounds` of Levenberg-Marquardt, those that have arrived resting.
+    """The fits after at most `rounds` of Levenberg-Marquardt, on all pushes or on some.
 
-    A fit has arrived where less than `tol` is left to gain in chi-square.
+    A fit rests once it has arrived: less than `tol` is left to gain in chi-square.
     """
     if fits.gram is None:
         fits = en.estimate_scatters(task, _settle_own(task, fits, pushes))
@@ -146,8 +170,8 @@ def refit(
 
 
 def rescan_bad_pushes(task: EnsembleTask, fits: Fits, pushes: NDArray | None = None) -> Fits:
-    """The fits with each push's own mu_s taken from a grid where that fits better, in pushes that
-    fit badly: beside a strong effect a push may have several mu_s that no small step betters."""
+    """The fits with the own mu_s of pushes that fit badly taken from a grid where that fits better:
+    beside a strong effect a push may have several mu_s that no small step betters."""
     if not task.mu_free:
         return fits
     which = np.arange(task.n) if pushes is None else np.asarray(pushes)
@@ -158,8 +182,8 @@ def rescan_bad_pushes(task: EnsembleTask, fits: Fits, pushes: NDArray | None = N
 
 
 def rescan_loose_pushes(task: EnsembleTask, fits: Fits) -> Fits:
-    """The same in pushes that hardly tell their own mu_s, within what they leave open: where a push
-    sticks, its answer jumps with mu_s, and no derivative says so."""
+    """The fits with the own mu_s of pushes that hardly tell it taken from a grid, within what they
+    leave open: where a push sticks, its answer jumps with mu_s, and no derivative says so."""
     if not task.mu_free:
         return fits
     error = _compute_own_errors(fits)
@@ -167,19 +191,20 @@ def rescan_loose_pushes(task: EnsembleTask, fits: Fits) -> Fits:
 
 
 def _compute_own_errors(fits: Fits) -> NDArray:
-    """(m, n) standard errors of each push's own log mu_s."""
+    """The standard error (m, n) of each push's own log mu_s."""
     z = np.einsum("mnk,mk->mn", fits.gram[:, :, :, 0, 0], 1.0 / fits.spread**2)
     return (z + 1.0 / fits.scatter[:, None] ** 2) ** -0.5
 
 
 def _make_grid(fits: Fits, error: NDArray) -> NDArray:
-    """(m, n, values) within what the pushes leave open."""
+    """The own log mu_s (m, n, values) to try, within what the pushes leave open."""
     return fits.own[:, :, None] + error[:, :, None] * _NEAR
 
 
 def _rescan(task: EnsembleTask, fits: Fits, asked: NDArray, grid: NDArray, charged: float) -> Fits:
     """The fits with the own mu_s of the pushes `asked` (m, n) from `grid` (m, n, values) where that
-    fits better, and the very same where none does. `charged`: whether the scatter speaks too."""
+    fits better, or the very same object where none does. `charged` 1 counts what an own mu_s costs
+    beside its scatter, 0 does not."""
     j, i = np.nonzero(asked)
     if not len(j):
         return fits
@@ -199,10 +224,10 @@ def _rescan(task: EnsembleTask, fits: Fits, asked: NDArray, grid: NDArray, charg
 
 
 def _sum_squares_at(
-    task: EnsembleTask, fits: Fits, j, i, c: NDArray, mu: NDArray, own: NDArray
+    task: EnsembleTask, fits: Fits, j: NDArray, i: NDArray, c: NDArray, mu: NDArray, own: NDArray
 ) -> NDArray:
-    """(N, values) sums of squares of pushes i of fits j at coordinates c (N, K), log mu_s mu (N,)
-    and each of own (N, values); infinite where a push could not be followed."""
+    """The sums of squares (N, values) of pushes i (N,) of fits j (N,) at coordinates c (N, K), log
+    mu_s mu (N,) and each of own (N, values); infinite where a push could not be followed."""
     N, values = own.shape
     rows = np.repeat(c, values, axis=0)
     rows[:, 0] = (mu[:, None] + own).ravel()
@@ -212,10 +237,10 @@ def _sum_squares_at(
     return np.where(np.isfinite(squares), squares, np.inf).reshape(N, values)
 
 
-def replace_fits(fits: Fits, which, new: Fits) -> Fits:
-    """The fits with some of them replaced."""
+def replace_fits(fits: Fits, which: NDArray, new: Fits) -> Fits:
+    """The fits with those numbered `which` replaced by `new` ones; their damping stays."""
 
-    def put(old, values):
+    def put(old: NDArray | None, values: NDArray | None) -> NDArray | None:
         if old is None or values is None:
             return old
         out = old.copy()
@@ -241,10 +266,10 @@ class HeldOut(NamedTuple):
 
 
 def predict_held_out(task: EnsembleTask, fits: Fits, folds: NDArray) -> HeldOut:
-    """Each push as predicted by a fit to the other folds. `folds` (n,) numbers each push's fold.
+    """Each push as a fit to the other folds predicts it. `folds` (n,) numbers each push's fold.
 
-    The parameters without a fold are one Gauss-Newton step from the fit to everything, or, where
-    that leads astray, fitted anew; the push is then followed with them, exactly.
+    The parameters without a fold are one Gauss-Newton step from the fit to everything; where that
+    leads astray they are fitted anew. The push is then followed with them, exactly.
     """
     parts = en.split_by_push(task, fits)
     H_i, h, z, g_i, gm, _ = parts
@@ -278,8 +303,8 @@ def predict_held_out(task: EnsembleTask, fits: Fits, folds: NDArray) -> HeldOut:
 def _choose_branches(
     task: EnsembleTask, fits: Fits, asked: NDArray, c: NDArray, mu: NDArray
 ) -> Fits:
-    """The fits with the own mu_s, of those pushes `asked` (m, n) that hardly tell it, that are best
-    at coordinates c (m, n, K) and log mu_s mu (m, n)."""
+    """The fits with the own mu_s that is best at coordinates c (m, n, K) and log mu_s mu (m, n), of
+    those pushes `asked` (m, n) that hardly tell it."""
     error = _compute_own_errors(fits)
     j, i = np.nonzero(asked & (error > _LOOSE))
     if not task.mu_free or not len(j):
@@ -293,7 +318,8 @@ def _choose_branches(
 
 
 def _predict(task: EnsembleTask, fits: Fits, c: NDArray, mu: NDArray) -> HeldOut:
-    """Pushes followed at coordinates c (m, n, K), log mu_s (m, n), their own re-estimated."""
+    """What pushes followed at coordinates c (m, n, K) and log mu_s mu (m, n) say, with their own
+    mu_s estimated anew."""
     own, c = fits.own, c.copy()
     squares, penalised, surprise = np.full((3, fits.m, task.n), np.inf)
     for _ in range(2):

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.estimation.mixed_fit import Model, descend, first_point
+from difffric.estimation.descent import Model, descend, first_point
 from difffric.estimation.residuals import SlidePush, TablePush
 from difffric.estimation.stacked_data import SLIDES, TABLE, FitData, find_strokes, pad
 from difffric.measurements.pushes import Pushes

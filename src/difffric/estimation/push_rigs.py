@@ -11,15 +11,13 @@ from difffric.rig import parameters
 from difffric.rig.rig import Rig
 
 
-def rigs_of(rig: Rig, pushes: Pushes) -> Rig:
+def make_push_rigs(rig: Rig, pushes: Pushes) -> Rig:
     """The rig spread over n pushes: each number of it an array (n,).
 
     A push that says its mass [kg] or its stroke [m] has that one, any other the rig's.
     """
     rigs = replicate(rig, len(pushes))
     mass = np.where(np.isnan(pushes.mass), rigs.mass, pushes.mass)
-    rigs = parameters.with_values(rigs, {"mass_kg": mass})
     _, strokes = find_strokes(rig, pushes.stroke)
-    if rig.pusher.stroke is None and np.isinf(strokes).all():
-        return rigs
-    return parameters.with_stroke(rigs, np.asarray(strokes))
+    none = rig.pusher.stroke is None and np.isinf(strokes).all()
+    return parameters.override(rigs, {"mass_kg": mass}, None if none else np.asarray(strokes))

@@ -16,7 +16,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from difffric.compute.precision import require_float64
-from difffric.estimation.push_rigs import rigs_of
+from difffric.estimation.push_rigs import make_push_rigs
 from difffric.identification.combination import Combination, combine
 from difffric.identification.free_slide import estimate_by_slides
 from difffric.identification.inversion import Inversion
@@ -65,7 +65,7 @@ def friction(parts: Sequence[tuple[Setup, Pushes]]) -> list[pl.DataFrame]:
 
 def _kind(setup: Setup, pushes: Pushes):
     """What decides which programs serve a rig's pushes."""
-    rigs = rigs_of(setup.rig, pushes.select(slice(0, 1)) if len(pushes) else pushes)
+    rigs = make_push_rigs(setup.rig, pushes.select(slice(0, 1)) if len(pushes) else pushes)
     stroke = setup.rig.pusher.stroke is not None or bool(np.isfinite(pushes.stroke).any())
     return jax.tree.structure(rigs), stroke, Calibration.read(setup).names
 

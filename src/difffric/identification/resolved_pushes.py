@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from difffric.calibration.result import Fit
 from difffric.compute.xla_options import soon_compiled
 from difffric.estimation import coordinates
-from difffric.estimation.push_rigs import rigs_of
+from difffric.estimation.push_rigs import make_push_rigs
 from difffric.estimation.stacked_data import sensor_errors
 from difffric.identification.inversion import BRACKET, Inversion, choose_by_force, invert_models
 from difffric.identification.push_models import PushModels, compute_range_ratio
@@ -213,8 +213,8 @@ def fill_errors(pushes: Pushes, fallback: NDArray | Sequence[float | None]) -> N
 def _spread(rigs: Sequence[Rig], which: NDArray, pushes: Pushes) -> Rig:
     """The rig of each push: that of its condition, with its own mass and stroke."""
     if all(rig is rigs[0] for rig in rigs):  # a set-up's: it knows of no conditions
-        return rigs_of(rigs[0], pushes)
-    every = [rigs_of(rig, pushes) for rig in rigs]
+        return make_push_rigs(rigs[0], pushes)
+    every = [make_push_rigs(rig, pushes) for rig in rigs]
     here = np.arange(len(pushes))
     return jax.tree.map(lambda *leaves: np.stack(leaves)[which, here], *every)
 

@@ -9,13 +9,8 @@ from numpy.typing import NDArray
 
 from difffric.estimation import coordinates
 from difffric.estimation.coordinates import layout
-from difffric.estimation.mixed_fit import (
-    Model,
-    descend,
-    first_point,
-    rescan_push_friction,
-    take_end,
-)
+from difffric.estimation.descent import Model, descend, first_point, take_end
+from difffric.estimation.mixed_fit import rescan_push_friction
 from difffric.estimation.stacked_data import traces_data
 from difffric.measurements.reduction.reduce import Reduction
 from difffric.rig import parameters

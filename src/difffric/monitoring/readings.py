@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.compute.pytrees import pick
-from difffric.estimation.push_rigs import rigs_of
+from difffric.estimation.push_rigs import make_push_rigs
 from difffric.estimation.stacked_data import sensor_errors
 from difffric.identification.resolved_pushes import fill_errors
 from difffric.identification.tabulated_model import TabulatedModel
@@ -69,7 +69,7 @@ class Reader:
             if len(self._curves) >= _KEPT:
                 self._curves.pop(next(iter(self._curves)))
             alone = Pushes(velocity=_one(velocity), mass=_one(mass), stroke=_one(stroke))
-            own = pick(rigs_of(self.rig, alone), 0)
+            own = pick(make_push_rigs(self.rig, alone), 0)
             self._curves[key] = TabulatedModel.of(own, float(velocity), self._integrator)
         return self._curves[key]
 

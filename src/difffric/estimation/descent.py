@@ -1,0 +1,226 @@
+"""One descent of a fit: from a point to the conditional mode near it.
+
+`Model` says what a fit varies, `Settled` where it stands. `descend` runs the compiled program of
+`mixed_model` from there, `take_end` takes the point at which it ended, and `linearise_at` gives the
+linear mixed model about a point, for the variances.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.compute import pytrees
+from difffric.estimation.coordinates import START, Layout, to_value
+from difffric.estimation.mixed_model import (
+    MAX_STEPS,
+    PADDING,
+    End,
+    FitPoint,
+    Problem,
+    minimise,
+    minimise_soon,
+)
+from difffric.estimation.restricted_likelihood import Components, LinearModel, linearise
+from difffric.estimation.stacked_data import RECORDINGS, FitData, pad
+from difffric.rig.rig import Rig
+
+ARRIVED = 1e-4
+"""A fit has arrived where less than this is left to gain in chi-square."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """What a fit varies: the rig, its free coordinates, the scatter."""
+
+    rig: Rig
+    integrator: Any
+    layout: Layout
+    scatter: float
+    """known, or where its estimate starts"""
+    estimate_scatter: bool
+    free_start: bool = False
+    robust: bool = False
+
+
+@dataclass(frozen=True)
+class Settled:
+    """Where a fit stands, and at last where it settled."""
+
+    theta: NDArray
+    """(P,) shared coordinates"""
+    held: NDArray
+    """(P,) whether the coordinate is held, at a bound"""
+    s_eta: NDArray
+    """(n,) log mu_s of each push beyond the shared value"""
+    start: NDArray
+    """(n,) start offsets in coordinates; 0 where they are not free"""
+    scatter: float
+    spreads: NDArray
+    components: Components
+    end: End
+    weights: NDArray
+    """(n, m) as they were at the end"""
+    settled: bool
+
+    @property
+    def smooth(self) -> bool:
+        """Whether nothing is left to gain by the derivatives either; not so where the optimum
+        lies at a change of regime, at which derivatives jump."""
+        return abs(self.components.gain) < 100 * ARRIVED
+
+
+def first_point(model: Model, data: FitData, theta: NDArray) -> Settled:
+    """The point from which a fit starts: the shared coordinates `theta` (P,) alone, with no push's
+    own mu_s beyond them."""
+    n, P = data.n, model.layout.n_free
+    nothing: Any = None
+    return Settled(
+        theta=np.asarray(theta, float),
+        held=np.zeros(P, bool),
+        s_eta=np.zeros(n),
+        start=np.zeros(n),
+        scatter=model.scatter,
+        spreads=data.guess,
+        components=nothing,
+        end=nothing,
+        weights=data.weights,
+        settled=False,
+    )
+
+
+def pose_problem(
+    model: Model,
+    data: FitData,
+    held: NDArray,
+    theta: NDArray,
+    scatter: float,
+    weights: NDArray,
+    trust: float,
+) -> Problem:
+    """The penalised least-squares problem with the parameters `held` (P,) at `theta` (P,).
+
+    `weights` (n, rows) are 1 / standard deviation; `trust` is that of `mixed_model.Problem`. Pushes
+    and parameters are padded.
+    """
+    layout = model.layout.without(held, theta)
+    n, P = data.n, layout.n_free
+    size = -(-max(P, 1) // (PADDING // 2)) * (PADDING // 2)
+    selection = np.zeros((*layout.selection.shape[:2], size))
+    selection[:, :, :P] = layout.selection
+    whole = -(-n // PADDING) * PADDING
+    row_weights = np.zeros((whole, weights.shape[1]))
+    row_weights[:n] = weights
+    prior, prior_weight = np.zeros(size), np.zeros(size)
+    prior[:P] = model.layout.start
+    prior_weight[:P] = np.where(held, 0.0, 1.0 / model.layout.prior_sd)
+    starts = np.zeros(whole)
+    starts[:n] = float(model.free_start)
+    return Problem(
+        rig=pytrees.as_arrays(model.rig),
+        integrator=model.integrator,
+        pushes=data.pushes,
+        selection=pad(selection, n),
+        fixed=pad(layout.fixed, n),
+        scatter=jnp.asarray(scatter),
+        weights=jnp.asarray(row_weights),
+        prior=jnp.asarray(prior),
+        prior_weight=jnp.asarray(prior_weight),
+        starts=jnp.asarray(starts),
+        trust=jnp.asarray(trust),
+    )
+
+
+def descend(
+    model: Model,
+    data: FitData,
+    at: Settled,
+    held: NDArray,
+    weights: NDArray,
+    scatter: float,
+    trust: float,
+    steps: int = MAX_STEPS,
+) -> End:
+    """The conditional mode near a point, for these weights (n, rows) and this scatter, with the
+    parameters `held` (P,) where they are, after `steps` steps at most."""
+    # Whole recordings run for longer than they compile.
+    run = minimise if data.kind == RECORDINGS else minimise_soon
+    return run(*_pose_descent(model, data, at, held, weights, scatter, trust, steps))
+
+
+def descent_to_compile(model: Model, data: FitData, at: Settled):
+    """The program of `descend` for data of this shape, traced; `.compile()` makes it ready for
+    every later call, and may be left to another thread."""
+    scatter = max(model.scatter, 1e-3)
+    return minimise.lower(*_pose_descent(model, data, at, at.held, data.weights, scatter, 1.0, 0))
+
+
+def _pose_descent(
+    model: Model,
+    data: FitData,
+    at: Settled,
+    held: NDArray,
+    weights: NDArray,
+    scatter: float,
+    trust: float,
+    steps: int,
+) -> tuple[Problem, FitPoint, Any]:
+    """What `minimise` takes: the problem, where it starts, and the steps at most."""
+    problem = pose_problem(model, data, held, at.theta, scatter, weights, trust)
+    theta = np.zeros(problem.prior.shape[0])
+    theta[: len(at.theta)] = np.where(held, 0.0, at.theta)
+    eta = np.zeros(problem.weights.shape[0])
+    eta[: data.n] = at.s_eta / scatter if scatter > 0 else 0.0
+    start = np.zeros(problem.starts.shape[0])
+    start[: data.n] = at.start
+    point = FitPoint(jnp.asarray(theta), jnp.asarray(eta), jnp.asarray(start))
+    return problem, point, jnp.asarray(steps)
+
+
+def take_end(at: Settled, end: End, held: NDArray, scatter: float) -> Settled:
+    """The point at which a descent ended, with the parameters `held` (P,) where they were."""
+    n, P = len(at.s_eta), len(at.theta)
+    theta = np.where(held, at.theta, np.asarray(end.point.theta)[:P])
+    return replace(
+        at,
+        theta=theta,
+        held=held,
+        s_eta=scatter * np.asarray(end.point.eta)[:n],
+        start=np.asarray(end.point.start)[: len(at.start)],
+        scatter=scatter,
+        end=end,
+    )
+
+
+def linearise_at(
+    model: Model, data: FitData, at: Settled, factor: NDArray | float = 1.0
+) -> LinearModel:
+    """The linear mixed model about a point; a held parameter's column is empty. `factor` (n, rows)
+    multiplies the weights."""
+    layout, n = model.layout, data.n
+    weight = np.where(at.held, 0.0, 1.0 / layout.prior_sd)
+    away = weight * (at.theta - layout.start)
+    prior = np.zeros((layout.n_free + 1,) * 2)
+    prior[:-1, :-1] = np.diag(weight**2)
+    prior[:-1, -1] = prior[-1, :-1] = weight * away
+    prior[-1, -1] = away @ away
+    return linearise(
+        np.asarray(at.end.rows)[:n],
+        data.weights * factor,
+        data.group,
+        data.counts,
+        data.least,
+        layout.selection * ~at.held,
+        prior,
+        at.s_eta,
+        model.free_start,
+    )
+
+
+def start_offsets(at: Settled) -> NDArray:
+    """Each push's start offset [s] (n,); 0 where it was not free."""
+    return to_value(START, at.start)
