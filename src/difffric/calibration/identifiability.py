@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from difffric.calibration.free_parameters import USUAL_SCATTER, choose_free, given_values
 from difffric.errors import InputError
-from difffric.estimation.coordinates import layout, slope
+from difffric.estimation.coordinates import Layout, layout, slope
 from difffric.estimation.descent import Model
 from difffric.estimation.information import design_data, information, responses
 from difffric.estimation.open_parameters import list_undetermined, open_units
@@ -24,6 +24,9 @@ from difffric.simulation.segments import default_integrator
 
 ASSUMED = 0.01
 """The relative standard error of F_p and d where neither the pushes nor the sensors say one."""
+
+_ONE_SPEED = 0.02
+"""Speeds that differ by less than this share are one."""
 
 
 @dataclass(frozen=True)
@@ -78,11 +81,19 @@ def identifiable(
     Only the design of the pushes is used: speeds (or release speeds), masses, strokes,
     conditions. Where some of them hold a measured F_p (or d) and others do not, or only one of
     the two was measured, what is missing counts as not to be measured; where nothing was
-    measured, all will be. `noise` holds the standard errors of F_p [N] and d [m], by default
-    the pushes' own, else the sensors', else 1 % of the value. Parameters stand at the set-up's
-    values, each push has its own mu_s under the set-up's scatter (3 % where it gives none).
+    measured, all will be. Parameters stand at the set-up's values, each push has its own mu_s
+    under the set-up's scatter (3 % where it gives none).
 
-    Raises `InputError` for unknown parameters and for a noise that is not positive.
+    Arguments:
+        rig: the rig, or the set-up.
+        pushes: the planned pushes, measured or not.
+        free: the names of the parameters to determine; by default those of `fit`.
+        noise: the standard errors of F_p [N] and d [m]; None: the pushes' own, else the sensors',
+            else 1 % of the value.
+        per_condition: the parameters that have a value for each condition.
+
+    Raises `InputError` for unknown parameters, where `free` is empty and for a noise that is not
+    positive.
     """
     setup = rig if isinstance(rig, Setup) else Setup(rig)
     base = check_rig(setup.rig)
@@ -90,7 +101,7 @@ def identifiable(
         if value is not None and not (np.isfinite(value) and value > 0):
             raise InputError(f"noise: that of the {what} is {value}: expected a number > 0")
     names = choose_free(setup, pushes, free)
-    given = given_values(pushes, names)
+    given, notes = given_values(pushes, names), list[str]()
     arranged = layout(base, names, per_condition, pushes.condition, given, {}, {})
     scatter = USUAL_SCATTER if setup.mu_s_scatter is None else setup.mu_s_scatter
     scatter = scatter if "mu_s" in names else 0.0
@@ -100,8 +111,7 @@ def identifiable(
     derivatives, answers = responses(
         model, data, theta, data.pushes, arranged.fixed, arranged.selection
     )
-    notes: list[str] = []
-    weights = _weights(base, pushes, answers, noise, notes)
+    weights = _expect_weights(base, pushes, answers, noise, notes)
     X = information(derivatives, weights, arranged.selection, scatter).sum(axis=0)
     if "mu_s" in names and setup.mu_s_scatter is None:
         notes.append(f"the set-up gives no scatter of mu_s: {100 * USUAL_SCATTER:g} % is assumed")
@@ -112,21 +122,43 @@ def identifiable(
     unit = open_units(base, arranged.names, float(np.max(v)))
     groups = list_undetermined(arranged.labels, arranged.names, covariance, unit)
     for group in groups:
-        why = _physics(group["parameters"], derivatives, weights, v)
+        why = _explain(group["parameters"], derivatives, weights, v)
         group["reason"] += f". {why}" if why else ""
+    return Identifiability(
+        free=arranged.labels,
+        not_identifiable=groups,
+        standard_errors=_expect_errors(base, arranged, covariance, groups),
+        information=X,
+        peak_force=answers[:, 0],
+        sliding_distance=answers[:, 1],
+        notes=tuple(notes),
+    )
+
+
+def _expect_errors(
+    rig: Rig, arranged: Layout, covariance: NDArray, groups: list[dict]
+) -> dict[str, float | None]:
+    """Standard errors [SI] to expect, by label; None for those in groups that stay open."""
     open_ = {label for group in groups for label in group["parameters"]}
-    known = parameters.values(base)
+    known = parameters.values(rig)
     errors: dict[str, float | None] = {}
     for j, (label, name) in enumerate(zip(arranged.labels, arranged.names, strict=True)):
         error = abs(slope(name, float(known[name]))) * float(np.sqrt(covariance[j, j]))
         errors[label] = None if label in open_ else error
-    return Identifiability(
-        arranged.labels, groups, errors, X, answers[:, 0], answers[:, 1], tuple(notes)
-    )
+    return errors
 
 
-def _weights(rig: Rig, pushes: Pushes, answers: NDArray, noise, notes: list[str]) -> NDArray:
-    """1 / standard error of each answer (n, rows); 0 where there is none, or will not be."""
+def _expect_weights(
+    rig: Rig,
+    pushes: Pushes,
+    answers: NDArray,
+    noise: tuple[float | None, float | None],
+    notes: list[str],
+) -> NDArray:
+    """1 / standard error of each answer (n, rows); 0 where there is none, or will not be.
+
+    A standard error that has to be assumed adds a line to `notes`.
+    """
     own = np.stack([pushes.peak_force_se, pushes.sliding_distance_se], axis=1)
     measured = np.isfinite(np.stack([pushes.peak_force, pushes.sliding_distance], axis=1))
     wanted = measured if measured.any() else np.ones_like(measured)
@@ -145,8 +177,8 @@ def _weights(rig: Rig, pushes: Pushes, answers: NDArray, noise, notes: list[str]
     return out[:, 1:] if pushes.free_slides else out
 
 
-def _physics(labels: list[str], derivatives: NDArray, weights: NDArray, v: NDArray) -> str:
-    """What of the pushes makes it so, where that is known."""
+def _explain(labels: list[str], derivatives: NDArray, weights: NDArray, v: NDArray) -> str:
+    """What of the pushes leaves these parameters open, where that is known; else empty."""
     said = []
     J = derivatives * weights[..., None]
     names = {label.split("[")[0] for label in labels}
@@ -155,7 +187,7 @@ def _physics(labels: list[str], derivatives: NDArray, weights: NDArray, v: NDArr
         J[..., 0], J[..., 1], rtol=1e-6, atol=1e-6 * np.abs(J).max(initial=1e-300)
     ):
         said.append("No push sticks first, so F_p and d depend on mu_k alone")
-    if "k_v_N_s_per_m" in names and np.ptp(v) < 0.02 * np.max(v):
+    if "k_v_N_s_per_m" in names and np.ptp(v) < _ONE_SPEED * np.max(v):
         said.append("All pushes have one speed")
     forces = weights.shape[1] == 1 or not weights[:, 0].any()
     if names & {"k_N_per_m", "b_N_s_per_m"} and forces:

@@ -158,7 +158,9 @@ def _profile_one(fit: Fit, label: str, levels: Sequence[float]) -> Profile:
 def _find_bound(held: HeldParameter, sign: int, t: float) -> tuple[float | None, str | None]:
     """Where the root of the rise is t on one side (`sign` -1: below), or why nowhere.
 
-    REASON
+    Written by hand, as chi-square may jump, fail, or fall below the fit's on the way, which moves
+    the root that is looked for. `scipy.optimize.toms748` takes a fifth fewer fits where it is
+    smooth, but up to a quarter more where it jumps, and then ends elsewhere.
     """
     step, last, at_bound = _plan_way(held, sign, t)
     width = np.inf

@@ -1,4 +1,4 @@
-"""From where a search settled to the fit that users see."""
+"""The fit that users see, built from where a search settled: error bars, notes, doubts."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import scipy
 from numpy.typing import NDArray
 
 from difffric.calibration.result import Fit, FitState
-from difffric.estimation.coordinates import NOTHING
+from difffric.estimation.coordinates import NOTHING, Layout
 from difffric.estimation.descent import Model, Settled, linearise_at, start_offsets
 from difffric.estimation.stacked_data import RECORDINGS, FitData
 from difffric.measurements.pushes import Pushes
@@ -22,6 +22,8 @@ _ABSURD_SCATTER = 0.5
 """Relative scatter of mu_s beyond which it is no property of a rig: it hides a misfit."""
 _ABSURD_CHI2 = 10.0
 """Reduced chi-square beyond which an optimum counts only where most starts reach it."""
+_UNLIKELY = 1e-3
+"""The probability of chi-square below which a misfit is told, where the noise is known."""
 _SURPRISING = 3.3
 """Standard deviations of chi-square beyond which a misfit is told (p < 5e-4)."""
 
@@ -34,31 +36,26 @@ def build_fit(
     reached: tuple[int, int],
     notes: Sequence[str],
 ) -> Fit:
-    """The fit, with its error bars and notes."""
+    """The fit, with its error bars and notes.
+
+    `reduction` is that of recordings; `reached` says how many starts led to the optimum, of how
+    many.
+    """
     model, data, at = state.model, state.data, state.at
     n, layout, c = data.n, model.layout, at.components
-    names, found = layout.names, layout.value(at.theta)
     spread = dict(zip(data.groups, c.spreads.tolist(), strict=True))
     log_mu = (layout.fixed + layout.selection @ at.theta)[:, 0] + at.s_eta
-    new = {}
-    for name in dict.fromkeys(names):
-        new[name] = float(
-            np.mean([v for v, x in zip(found.values(), names, strict=True) if x == name])
-        )
-    for name, held, x in zip(names, at.held, at.theta, strict=True):
-        if held and x <= NOTHING:
-            new[name] = 0.0
     F, d = np.asarray(at.end.model)[:n].T
     fitted = int(np.sum(~at.held)) + (n if model.free_start else 0)
     offsets = n if data.kind == RECORDINGS else 0
     freedom = data.samples - fitted - offsets
-    absurd = _absurd(model, at, freedom, reached)
-    notes = [*notes, *absurd, *_notes(data, at, freedom, reduction)]
+    absurd = _find_absurd(model, at, freedom, reached)
+    notes = [*notes, *absurd, *_note_doubts(data, at, freedom, reduction)]
     return Fit(
-        rig=parameters.with_values(setup.rig, new),
+        rig=parameters.with_values(setup.rig, _shared_values(layout, at)),
         kind=data.kind,
         free=layout.labels,
-        names=names,
+        names=layout.names,
         theta=at.theta,
         held=tuple(x for x, on in zip(layout.labels, at.held, strict=True) if on),
         covariance=c.covariance,
@@ -74,11 +71,11 @@ def build_fit(
         starts_at_optimum=reached,
         conditions=tuple(pushes.condition),
         mu_s=np.exp(log_mu),
-        mu_s_se=np.exp(log_mu) * _own_errors(model, data, at),
+        mu_s_se=np.exp(log_mu) * _carry_errors(model, data, at),
         start=start_offsets(at),
         peak_force=F,
         sliding_distance=d,
-        noise={} if reduction is None else _noise(reduction),
+        noise={} if reduction is None else _describe_noise(reduction),
         samples=data.samples,
         left_out=data.left_out,
         notes=tuple(notes),
@@ -90,7 +87,22 @@ def build_fit(
     )
 
 
-def _absurd(model: Model, at: Settled, freedom: int, reached: tuple[int, int]) -> list[str]:
+def _shared_values(layout: Layout, at: Settled) -> dict[str, float]:
+    """The values [SI] by name: of a parameter with several conditions the mean, and zero for one
+    that ran towards it."""
+    names, found = layout.names, layout.value(at.theta)
+    new = {}
+    for name in dict.fromkeys(names):
+        new[name] = float(
+            np.mean([v for v, x in zip(found.values(), names, strict=True) if x == name])
+        )
+    for name, held, x in zip(names, at.held, at.theta, strict=True):
+        if held and x <= NOTHING:
+            new[name] = 0.0
+    return new
+
+
+def _find_absurd(model: Model, at: Settled, freedom: int, reached: tuple[int, int]) -> list[str]:
     """Why where the search settled is no answer, though it settled."""
     out = []
     causes = "data that do not belong together, a wrong stroke or unit, or a poor start"
@@ -108,7 +120,9 @@ def _absurd(model: Model, at: Settled, freedom: int, reached: tuple[int, int]) -
     return out
 
 
-def _notes(data: FitData, at: Settled, freedom: int, reduction: Reduction | None) -> list[str]:
+def _note_doubts(
+    data: FitData, at: Settled, freedom: int, reduction: Reduction | None
+) -> list[str]:
     """What a reader should know of this optimum."""
     notes = []
     if not at.settled:
@@ -120,9 +134,9 @@ def _notes(data: FitData, at: Settled, freedom: int, reduction: Reduction | None
         )
     if freedom > 0 and not data.groups:
         chi2 = at.components.chi2
-        sigma = np.sqrt(_variance(freedom, reduction))
+        sigma = np.sqrt(_chi2_variance(freedom, reduction))
         by_noise = chi2 / freedom - 1 > _SURPRISING * sigma / freedom
-        if scipy.stats.chi2.sf(chi2, freedom) < 1e-3 and by_noise:
+        if scipy.stats.chi2.sf(chi2, freedom) < _UNLIKELY and by_noise:
             notes.append(
                 f"chi-square is {chi2 / freedom:.3g} times what the noise explains: the model "
                 "lacks something, the noise is larger than said, or this is not the optimum"
@@ -130,8 +144,8 @@ def _notes(data: FitData, at: Settled, freedom: int, reduction: Reduction | None
     return notes
 
 
-def _variance(freedom: int, reduction: Reduction | None) -> float:
-    """Of chi-square: its own, and that of noise levels which are estimates themselves."""
+def _chi2_variance(freedom: int, reduction: Reduction | None) -> float:
+    """The variance of chi-square: its own, and that of noise levels which are estimates."""
     own = 2.0 * freedom
     if reduction is None:
         return own
@@ -139,7 +153,7 @@ def _variance(freedom: int, reduction: Reduction | None) -> float:
     return own + sum((freedom / len(quiet)) ** 2 * 2 / max(n, 2) for n in quiet)
 
 
-def _noise(reduction: Reduction) -> dict[str, dict[str, float]]:
+def _describe_noise(reduction: Reduction) -> dict[str, dict[str, float]]:
     """Level and correlation of the channels' noise, of the first push that has them."""
     out = {}
     for name in ("force", "position"):
@@ -153,7 +167,7 @@ def _noise(reduction: Reduction) -> dict[str, dict[str, float]]:
     return out
 
 
-def _own_errors(model: Model, data: FitData, at: Settled) -> NDArray:
+def _carry_errors(model: Model, data: FitData, at: Settled) -> NDArray:
     """Relative standard error of each push's own mu_s (n,), that of the shared parameters
     carried through."""
     P = model.layout.n_free
