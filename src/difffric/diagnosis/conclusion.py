@@ -33,7 +33,7 @@ from difffric.diagnosis.verdict import (
 )
 from difffric.estimation import ensemble, ensemble_refits
 from difffric.estimation.ensemble import Fits
-from difffric.estimation.extended_model import SLIDES
+from difffric.estimation.stacked_data import SLIDES
 from difffric.progress import Tell
 from difffric.rig.catalogue import KEYS, RATIO, numbers_of
 from difffric.rig.setup import Setup
@@ -46,7 +46,7 @@ ALIKE = 2 * np.log(20.0)
 """Drops of -2 log likelihood within this of each other do not tell two effects apart: odds of 20
 to 1."""
 _STANDS_OUT = 4.0
-"""Standard deviations of chi-square."""
+"""Standard deviations of chi-square by which what is left must exceed the noise to count."""
 _VISIBLE = 3.0
 """Standard deviations at its typical size from which an effect can be seen."""
 _SAME = 0.01

@@ -19,7 +19,7 @@ taken for so small that the answers are linear in it."""
 
 @dataclass(frozen=True)
 class LackOfFit:
-    """The test: sums of residuals over stretches of each push, in standard deviations."""
+    """What a fit leaves, and how probable it is that noise alone does."""
 
     p_value: float | None
     """None: the noise is not known, and nothing can be said"""
@@ -58,7 +58,15 @@ def measure_lack_of_fit(task: EnsembleTask, fits: Fits) -> LackOfFit:
     if not recordings:
         total = float(chi2.sum() + ((fits.own[0] / fits.scatter[0]) ** 2).sum())
         freedom = max(numbers - fitted, 1.0)
-        return LackOfFit(float(scipy.stats.chi2.sf(total, freedom)), excess, float(expected), chi2)
+    else:
+        total, count = _sum_stretches(task, r)
+        freedom = max(count - fitted - own - zeros, 1)
+    return LackOfFit(float(scipy.stats.chi2.sf(total, freedom)), excess, float(expected), chi2)
+
+
+def _sum_stretches(task: EnsembleTask, r: NDArray) -> tuple[float, int]:
+    """Return chi-square of the sums of residuals over stretches of each push, and how many there
+    are; `r` (n, 2, blocks) are the residuals in standard deviations."""
     there = np.stack([blocks.a > 0 for blocks in task.model.pushes.data], axis=1)
     total, count = 0.0, 0
     for i in range(task.n):
@@ -68,5 +76,4 @@ def measure_lack_of_fit(task: EnsembleTask, fits: Fits) -> LackOfFit:
                 if len(part):
                     total += part.sum() ** 2 / len(part)
                     count += 1
-    freedom = max(count - fitted - own - zeros, 1)
-    return LackOfFit(float(scipy.stats.chi2.sf(total, freedom)), excess, float(expected), chi2)
+    return total, count

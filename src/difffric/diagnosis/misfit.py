@@ -80,7 +80,7 @@ class _ChannelResiduals:
     """time since contact [s]"""
 
 
-class _Course(NamedTuple):
+class _PushCourse(NamedTuple):
     """A push as it was measured, at the times of the blocks of both channels."""
 
     t: NDArray
@@ -204,7 +204,7 @@ def _find_middles(blocks: UnevenBlocks, i: int) -> NDArray:
     return 0.5 * (blocks.t[i][blocks.first[i]] + blocks.t[i][blocks.second[i]])
 
 
-def _follow_course(data: DiagnosisData, i: int, reduced: Reduced) -> _Course:
+def _follow_course(data: DiagnosisData, i: int, reduced: Reduced) -> _PushCourse:
     """Follow push i from what was measured of its force and position."""
     force, position = data.task.model.pushes.data
     v = float(np.asarray(data.measured.velocity)[i])
@@ -229,7 +229,7 @@ def _follow_course(data: DiagnosisData, i: int, reduced: Reduced) -> _Course:
     phase[~touching] = _FREE
     rest = reduced.rest_time if np.isfinite(reduced.rest_time) else np.inf
     phase[(t >= rest) | (t < 0)] = _AT_REST
-    return _Course(t, phase, x, np.array([*reduced.onsets] or [0.0]))
+    return _PushCourse(t, phase, x, np.array([*reduced.onsets] or [0.0]))
 
 
 def _group_by_name(

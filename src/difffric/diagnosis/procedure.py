@@ -22,7 +22,7 @@ from difffric.diagnosis.impossible_measurements import find_unreachable
 from difffric.diagnosis.lack_of_fit import LackOfFit, is_misfit_large, measure_lack_of_fit
 from difffric.diagnosis.location import add_free_forms
 from difffric.diagnosis.score_test import Score, compute_p_value, run_score_tests
-from difffric.diagnosis.start import Start, find_better_base, fit_plain_model, prepare_start
+from difffric.diagnosis.start import SearchStart, find_better_base, fit_plain_model, prepare_start
 from difffric.diagnosis.starting_values import SMOOTH_AT_NULL
 from difffric.diagnosis.verdict import Diagnosis
 from difffric.errors import InputError, NumericalError
@@ -90,7 +90,7 @@ class _CauseSearch:
     """The search for causes, round by round."""
 
     setup: Setup
-    start: Start
+    start: SearchStart
     validation: CrossValidation
     negligible: float
     tell: Tell
@@ -114,7 +114,7 @@ class _CauseSearch:
 
     @classmethod
     def begin(
-        cls, setup: Setup, start: Start, folds: np.ndarray, negligible: float, tell: Tell
+        cls, setup: Setup, start: SearchStart, folds: np.ndarray, negligible: float, tell: Tell
     ) -> _CauseSearch:
         """Begin with the best plain model.
 

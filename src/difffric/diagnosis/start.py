@@ -45,7 +45,7 @@ _SHARE = 0.01
 
 
 @dataclass(frozen=True)
-class Start:
+class SearchStart:
     """What a search starts from."""
 
     data: DiagnosisData
@@ -66,7 +66,7 @@ def prepare_start(
     *,
     use_data_mass: bool = False,
     skip_bad: bool = False,
-) -> Start:
+) -> SearchStart:
     """Check the data, fit the plain set-up, and compile the program of extended models meanwhile.
 
     `use_data_mass` and `skip_bad` are those of `diagnose`.
@@ -107,7 +107,7 @@ def prepare_start(
     c = start.c.copy()
     c[0, extra] = coordinates.point(known)
     at = replace(start, c=c, extra=(tuple(extra),))
-    return Start(data, fitted, tuple(known), at, _place_at_setup(data.task, at, plain))
+    return SearchStart(data, fitted, tuple(known), at, _place_at_setup(data.task, at, plain))
 
 
 def _place_at_setup(task: EnsembleTask, fits: Fits, plain: Rig) -> Fits:
