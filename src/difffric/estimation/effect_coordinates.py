@@ -1,4 +1,9 @@
-"""How a vector of numbers stands for an extended rig."""
+"""The coordinates of an ensemble's fits: how a vector of numbers stands for an extended rig.
+
+The plain parameters' coordinates are those of a calibration (`coordinates`). An effect's are 0 at
+its null and of order 1 at a size that one may meet, and linear in the law's own number, which may
+be the inverse of the one that files write: an effect that is absent is then a regular point.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +13,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 from numpy.typing import NDArray
 
 from difffric.estimation.coordinates import limits, to_coordinate, to_value
@@ -27,23 +33,27 @@ in which a model is nearly linear; a phase is not, beside a small amplitude."""
 FORMED = tuple(name for form in free_form.FORMS for name in free_form.names(form))
 """Coefficients of the free forms, which are coordinates themselves."""
 _HUGE = 1e6
+"""Stands for infinity, where a null is none: a level [N] that no force reaches."""
 
 
 @dataclass(frozen=True)
 class Coordinates:
-    """How a vector c of numbers stands for an extended rig. Effects' coordinates are 0 at the
-    null and of order 1 at a size that one may meet."""
+    """How a vector c (K,) of numbers stands for an extended rig."""
 
     names: tuple[str, ...]
+    """the parameter behind each number"""
     null: tuple[float, ...]
+    """the law's own number at 0"""
     unit: tuple[float, ...]
+    """the step of the law's own number that a step of 1 makes"""
 
     @classmethod
     def of(cls, rig: Rig) -> Coordinates:
-        """Of the plain parameters and of all effects' numbers that the rig has."""
+        """The coordinates of a rig: the plain parameters, and all numbers of the effects that it
+        has."""
         extra = catalogue.parameter_names(rig)
         keys = [KEYS[name][1] for name in extra]
-        null = {n: _finite(key.to_law(key.null)) for n, key in zip(extra, keys, strict=True)}
+        null = {n: _make_finite(key.to_law(key.null)) for n, key in zip(extra, keys, strict=True)}
         size = {n: abs(KEYS[n][1].to_law(KEYS[n][1].typical) - null[n]) or 1.0 for n in extra}
         for amplitude, phase in WAVES.items():
             if amplitude in size:
@@ -55,23 +65,23 @@ class Coordinates:
         )
 
     def index(self, name: str) -> int:
-        """Where a name stands."""
+        """The place of a name."""
         return self.names.index(name)
 
     def indices(self, names: Sequence[str]) -> list[int]:
-        """Where names stand."""
+        """The places of names."""
         return [self.names.index(name) for name in names]
 
     def point(self, values: Mapping[str, Any]) -> list[float]:
-        """The coordinates of these values [SI, as files write them]; of what waves, amplitude and
-        phase together."""
+        """The coordinates of these values [SI, as files write them]. Of an effect that waves,
+        amplitude and phase are given together."""
         out = {}
         for name, value in values.items():
             i = self.index(name)
             if name in PLAIN:
                 out[name] = float(to_coordinate(name, value))
             else:
-                number = _finite(KEYS[name][1].to_law(value))
+                number = _make_finite(KEYS[name][1].to_law(value))
                 out[name] = float((number - self.null[i]) / self.unit[i])
         for amplitude, phase in WAVES.items():
             if amplitude in out:
@@ -81,19 +91,21 @@ class Coordinates:
 
     def values(self, c: NDArray, names: Sequence[str]) -> list[float]:
         """The values [SI, as files write them] of some names at c."""
-        return self._values(c, names)[0].tolist()
+        return self._differentiate_values(c, names)[0].tolist()
 
-    def errors(self, c: NDArray, names: Sequence[str], free: Sequence[int], covariance) -> list:
-        """Standard errors of the values of some names, from the covariance of the free
-        coordinates (which may have further columns behind them)."""
-        J = self._values(c, names)[1][:, list(free)]
+    def errors(
+        self, c: NDArray, names: Sequence[str], free: Sequence[int], covariance: NDArray
+    ) -> list[float]:
+        """Standard errors of the values of some names at c, from the covariance of the free
+        coordinates, which may have further columns behind them; NaN where the data say nothing."""
+        J = self._differentiate_values(c, names)[1][:, list(free)]
         covariance = covariance[: len(free), : len(free)]
         variance = np.einsum("ij,jk,ik->i", J, covariance, J)
         # Below zero by rounding, where the data say nothing: no number.
         return np.sqrt(np.where(variance >= 0, variance, np.nan)).tolist()
 
-    def _values(self, c, names):
-        """(values, their derivatives by all coordinates)."""
+    def _differentiate_values(self, c: NDArray, names: Sequence[str]) -> tuple[NDArray, NDArray]:
+        """Values (names,) [SI] and their derivatives (names, K) by all coordinates."""
         c = np.asarray(c, float)
         value, slope = np.zeros(len(names)), np.zeros((len(names), len(self.names)))
         phases = {phase: amplitude for amplitude, phase in WAVES.items()}
@@ -122,7 +134,7 @@ class Coordinates:
         return value, slope
 
     def bounds(self, name: str) -> tuple[float, float]:
-        """Between which coordinates a number makes sense."""
+        """The coordinates between which a number makes sense."""
         if name in FORMED:
             return -np.inf, np.inf
         if name in PLAIN:
@@ -155,33 +167,33 @@ class Coordinates:
                 numbers[name] = self.null[i] + self.unit[i] * c[i]
         for amplitude, phase in WAVES.items():
             if amplitude in numbers:
-                numbers[amplitude], numbers[phase] = _polar(numbers[amplitude], numbers[phase])
+                numbers[amplitude], numbers[phase] = _to_polar(numbers[amplitude], numbers[phase])
         return numbers
 
     def without(self, effect: str) -> Coordinates:
-        """Without those of an effect's numbers."""
+        """The coordinates without those of an effect's numbers."""
         keep = [k for k, name in enumerate(self.names) if name.partition(".")[0] != effect]
 
-        def of(column):
+        def of(column: tuple) -> tuple:
             return tuple(column[k] for k in keep)
 
         return Coordinates(of(self.names), of(self.null), of(self.unit))
 
     def with_forms(self) -> Coordinates:
-        """With the coefficients of all free forms behind them."""
+        """The coordinates with the coefficients of all free forms behind them."""
         none = (0.0,) * len(FORMED)
         return Coordinates((*self.names, *FORMED), (*self.null, *none), (*self.unit, *none))
 
 
-def _polar(sine, cosine):
-    """(amplitude, phase) of `sine sin + cosine cos`; at nothing, where neither has a derivative,
-    zeros whose derivatives are zeros."""
+def _to_polar(sine: Array, cosine: Array) -> tuple[Array, Array]:
+    """Amplitude and phase of `sine sin + cosine cos`. Where both are zero neither has a derivative:
+    zeros come back, whose derivatives are zeros."""
     nothing = (sine == 0) & (cosine == 0)
     safe = jnp.where(nothing, 1.0, sine)
     amplitude = jnp.where(nothing, 0.0, jnp.sqrt(safe**2 + cosine**2))
     return amplitude, jnp.where(nothing, 0.0, jnp.arctan2(cosine, safe))
 
 
-def _finite(x: float) -> float:
-    """A level that nothing reaches, where the null is none."""
+def _make_finite(x: float) -> float:
+    """The null, where it is infinite a level that nothing reaches."""
     return float(np.clip(x, -_HUGE, _HUGE))

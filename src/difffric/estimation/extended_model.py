@@ -1,15 +1,16 @@
-"""The extended model beside measured pushes: every effect of the catalogue in one program.
+"""The extended model against measured pushes: every effect of the catalogue in one program.
 
 Coordinates are the plain parameters and all the effects' numbers, each effect at its null unless
 a candidate says otherwise. The program answers for many pairs of a push and its coordinates at
 once, with the Gram matrix of the whitened residuals and of their exact derivatives in a few
 directions that are chosen when it is called: a score test, a scan and a refit of any subset run
-the same compiled code.
+the same compiled code. Axes: B pairs of a push and its coordinates, K coordinates, D directions.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -22,45 +23,49 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.compute import pytrees
-from difffric.compute.xla_options import soon_compiled
+from difffric.compute.xla_options import compile_soon
 from difffric.estimation.block_means import UnevenBlocks
 from difffric.estimation.effect_coordinates import Coordinates
+from difffric.estimation.stacked_data import RECORDINGS, SLIDES, TABLE
 from difffric.rig import catalogue
 from difffric.rig.rig import Rig
 from difffric.simulation.observables import observe, observe_steps
 from difffric.simulation.stepping.integrator import RungeKutta
 from difffric.simulation.stepping.path import follow_together
 
-TABLE, SLIDES, RECORDINGS = "table", "slides", "recordings"
 PRESLIDING = "presliding"
 BRISTLES = f"{PRESLIDING}.sigma_0_N_per_m"
 BATCH = 4
 """Pairs that one call answers for: as many as are computed abreast. All wait for the longest."""
 STEPS, BENT_STEPS = 320, 6000
-"""Steps that a push may take; with bristles, which swing until they rest."""
+"""Steps of the integrator that a push may take, and with bristles, which swing until they rest."""
 TOLERANCE = 1e-7
-"""Of a step: far below what measured pushes let see."""
+"""The integrator's tolerance of a step: far below what measured pushes let see."""
 
-Array = Any
+Array = Any  # NumPy's outside a compiled program, JAX's within
 
 
 class StackedPushes(NamedTuple):
-    """What each push says of itself, and its samples; (n, ...) stacked."""
+    """What each of n pushes says of itself, and its samples; every array has an axis of pushes in
+    front."""
 
     velocity: Array
+    """[m/s]; of a free slide, that at its release"""
     mass: Array
+    """[kg]"""
     stroke: Array
+    """[m]"""
     share: Array
     """of friction's drift: 0 at the first push, 1 at the last"""
     rest: Array
-    """before the push [s]"""
+    """time at rest before the push [s]"""
     data: Any
     """(force, position), both `UnevenBlocks`; or, of a table, (measured (n, 2), 1 / standard error
     (n, 2))"""
 
 
 class PushAnswer(NamedTuple):
-    """One pair's answer."""
+    """What the program answers for one pair of a push and its coordinates."""
 
     gram: Array
     """(2, D + 1, D + 1) of [J | r] of force and position, r = measured - model, whitened"""
@@ -70,8 +75,8 @@ class PushAnswer(NamedTuple):
     """(2, m) whitened; of a table m = 1"""
 
 
-def build_push_rig(coordinates: Coordinates, rig: Rig, push: StackedPushes, c) -> Rig:
-    """The rig of one push at coordinates c (coordinates,)."""
+def build_push_rig(coordinates: Coordinates, rig: Rig, push: StackedPushes, c: Array) -> Rig:
+    """The rig of one push at coordinates c (K,), with what the push's record says; traceable."""
     known = {name.partition(".")[0] for name in coordinates.names}
     given = {"mass_kg": push.mass}
     for name, said in (("friction_drift.share", push.share), ("static_dwell.rest", push.rest)):
@@ -80,23 +85,30 @@ def build_push_rig(coordinates: Coordinates, rig: Rig, push: StackedPushes, c) -
     return coordinates.rig(rig, c, given, push.stroke)
 
 
-def _average(blocks: UnevenBlocks, at_instants):
+def _average(blocks: UnevenBlocks, at_instants: Array) -> Array:
+    """The model's means over m blocks (m,) from its values at e instants (e,)."""
     return 0.5 * (at_instants[blocks.first] + at_instants[blocks.second])
 
 
-def _whiten(blocks: UnevenBlocks, r):
+def _whiten(blocks: UnevenBlocks, r: Array) -> Array:
+    """Residuals (m, ...) made independent, of unit variance."""
     before = jnp.concatenate([jnp.zeros_like(r[:1]), r[:-1]])
     return (blocks.a * r.T - blocks.b * before.T).T
 
 
 def _answer_recordings(
-    coordinates, rig, pushes: StackedPushes, c, directions, steps: int
+    coordinates: Coordinates,
+    rig: Rig,
+    pushes: StackedPushes,
+    c: Array,
+    directions: Array,
+    steps: int,
 ) -> PushAnswer:
-    """The answers for B recorded pushes at coordinates (B, K), along directions (B, D, K)."""
+    """The answers for B recorded pushes at coordinates c (B, K), along directions (B, D, K)."""
     force, position = pushes.data
     integrator = RungeKutta(TOLERANCE)
 
-    def readings(c):
+    def read(c: Array) -> Any:
         rigs = jax.vmap(lambda push, c: build_push_rig(coordinates, rig, push, c))(pushes, c)
         v = jax.vmap(lambda rig, v: rig.pusher.speed(v))(rigs, pushes.velocity)
         paths = follow_together(partial(integrator.build_loop, blind=True), rigs, v, steps)
@@ -110,9 +122,9 @@ def _answer_recordings(
         means = jax.vmap(_average)
         return (means(force, f), means(position, x)), model
 
-    ((f, x), model), (by, _) = _differentiate(readings, c, directions)
+    ((f, x), model), (by, _) = _differentiate(read, c, directions)
 
-    def compare(blocks: UnevenBlocks, model, by, centred):
+    def compare(blocks: UnevenBlocks, model: Array, by: Array, centred: bool) -> Any:
         A = _whiten(blocks, jnp.column_stack([-by.T, blocks.y - model]))
         if centred:  # the position's zero is arbitrary
             one = _whiten(blocks, jnp.ones_like(blocks.y))
@@ -126,23 +138,30 @@ def _answer_recordings(
     return PushAnswer(jnp.stack([G_f, G_x], 1), model, jnp.stack([r_f, r_x], 1))
 
 
-def _answer_table(coordinates, rig, pushes: StackedPushes, c, directions, steps: int) -> PushAnswer:
-    """The same for a table's F_p and d."""
+def _answer_table(
+    coordinates: Coordinates,
+    rig: Rig,
+    pushes: StackedPushes,
+    c: Array,
+    directions: Array,
+    steps: int,
+) -> PushAnswer:
+    """The answers for B pushes of a table, which has F_p and d."""
     integrator: Any = RungeKutta(TOLERANCE, most=steps)
 
-    def numbers(c):
-        def one(push, c):
+    def observe_all(c: Array) -> Array:
+        def one(push: StackedPushes, c: Array) -> Array:
             at = build_push_rig(coordinates, rig, push, c)
             seen = observe(at, push.velocity, integrator)
             return jnp.stack([seen.peak_force, seen.sliding_distance])
 
         return jax.vmap(one)(pushes._replace(data=None), c)
 
-    return _compare_numbers(pushes, *_differentiate(numbers, c, directions))
+    return _compare_numbers(pushes, *_differentiate(observe_all, c, directions))
 
 
-def _compare_numbers(pushes: StackedPushes, model, by) -> PushAnswer:
-    """Reduced numbers (B, 2) and their derivatives (D, B, 2) beside what was measured."""
+def _compare_numbers(pushes: StackedPushes, model: Array, by: Array) -> PushAnswer:
+    """The answers from the model's numbers (B, 2) and their derivatives (D, B, 2)."""
     measured, weight = pushes.data
     # Where the part never leaves the tip it slides no distance: d counts as 0.
     r = weight * (measured - jnp.where(jnp.isnan(model), 0.0, model))
@@ -152,14 +171,20 @@ def _compare_numbers(pushes: StackedPushes, model, by) -> PushAnswer:
 
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(48)
+"""Gauss-Legendre's rule for a free slide's distance: what it integrates is smooth in s."""
 
 
 def _answer_slides(
-    coordinates, rig, pushes: StackedPushes, c, directions, steps: int
+    coordinates: Coordinates,
+    rig: Rig,
+    pushes: StackedPushes,
+    c: Array,
+    directions: Array,
+    steps: int,
 ) -> PushAnswer:
-    """The same for the distances of free slides, `velocity` being that at release."""
+    """The answers for B free slides, of which the distance was measured."""
 
-    def slid(push, c):
+    def slide(push: StackedPushes, c: Array) -> Array:
         at = build_push_rig(coordinates, rig, push, c)
         # d = integral of u du / (F(u) / m) from 0 to v, in s with u = v s^2: fine at low speed.
         s = jnp.asarray(0.5 * (_NODES + 1))
@@ -168,28 +193,32 @@ def _answer_slides(
         d = jnp.sum(0.5 * jnp.asarray(_WEIGHTS) * 2 * push.velocity * s * u / slowing)
         return jnp.stack([0.0 * d, d])
 
-    def numbers(c):
-        return jax.vmap(slid)(pushes._replace(data=None), c)
+    def slide_all(c: Array) -> Array:
+        return jax.vmap(slide)(pushes._replace(data=None), c)
 
-    return _compare_numbers(pushes, *_differentiate(numbers, c, directions))
+    return _compare_numbers(pushes, *_differentiate(slide_all, c, directions))
 
 
-def _differentiate(function, c, directions):
-    """(value, derivatives along `directions` (B, D, K), in front)."""
+def _differentiate(function: Callable[[Array], Any], c: Array, directions: Array) -> Any:
+    """A function of coordinates c (B, K): its value, and its derivatives along directions
+    (B, D, K), with an axis of D in front."""
     along = jax.vmap(lambda v: jax.jvp(function, (c,), (v,)), in_axes=1, out_axes=(None, 0))
     return along(directions)
 
 
 @lru_cache(maxsize=16)
-def _compiled(coordinates: Coordinates, kind: str, steps: int, structure, shapes):
-    """The program for all data of this kind and these shapes."""
+def _compile(
+    coordinates: Coordinates, kind: str, steps: int, structure: Any, shapes: tuple
+) -> Callable[..., PushAnswer]:
+    """The compiled program for all data of this kind, whose arguments have this tree structure and
+    these shapes and types."""
     answer = {RECORDINGS: _answer_recordings, TABLE: _answer_table, SLIDES: _answer_slides}[kind]
 
     def program(rig, pushes, c, directions):
         return answer(coordinates, rig, pushes, c, directions, steps)
 
-    leaves = [jnp.zeros(shape, kind) for shape, kind in shapes]
-    return soon_compiled(program).lower(*jax.tree.unflatten(structure, leaves)).compile()
+    leaves = [jnp.zeros(shape, dtype) for shape, dtype in shapes]
+    return compile_soon(program).lower(*jax.tree.unflatten(structure, leaves)).compile()
 
 
 @dataclass(frozen=True)
@@ -203,6 +232,8 @@ class ExtendedModel:
     kind: str
     """`table`, `slides` or `recordings`"""
     directions: int = 8
+    """in which the program differentiates; a call with fewer is padded, one with more goes to a
+    program of twice as many"""
     steps: int = STEPS
 
     @property
@@ -211,25 +242,26 @@ class ExtendedModel:
         return self.kind == RECORDINGS
 
     @cached_property
-    def _rig(self):
+    def _rig(self) -> Rig:
         return pytrees.as_arrays(self.rig)
 
     @cached_property
     def _bent(self) -> ExtendedModel:
-        """With bristles, which no value makes vanish: a program of its own."""
+        """The model with bristles, which no value makes vanish: a program of its own."""
         rig = catalogue.extended(self.rig, {PRESLIDING: {}})
         return replace(self, rig=rig, steps=BENT_STEPS)
 
     @cached_property
     def _unbent(self) -> ExtendedModel:
-        """Without them."""
+        """The model without bristles."""
         return replace(self, coordinates=self.coordinates.without(PRESLIDING))
 
     def _pick_rows(self, index: NDArray) -> StackedPushes:
-        """Some pushes; the program does not know how many there are."""
+        """Some pushes, by their numbers; the program does not know how many there are."""
         return jax.tree.map(lambda column: np.asarray(column)[index], self.pushes)
 
-    def _example(self):
+    def _make_example(self) -> tuple:
+        """Arguments of the program, for their shapes."""
         K = len(self.coordinates.names)
         return (
             self._rig,
@@ -239,26 +271,28 @@ class ExtendedModel:
         )
 
     @cached_property
-    def _compiled(self):
-        example = self._example()
+    def _program(self) -> Callable[..., PushAnswer]:
+        """The compiled program for these data."""
+        example = self._make_example()
         shapes = tuple((x.shape, str(x.dtype)) for x in jax.tree.leaves(example))
         structure = jax.tree.structure(example)
-        return _compiled(self.coordinates, self.kind, self.steps, structure, shapes)
+        return _compile(self.coordinates, self.kind, self.steps, structure, shapes)
 
     @cached_property
     def _wider(self) -> ExtendedModel:
-        """For more causes at once than one mostly meets: a program of its own."""
+        """The model for more causes at once than one mostly meets: a program of its own."""
         return replace(self, directions=2 * self.directions)
 
     def compile(self) -> None:
         """Make the program ready; may be left to another thread. That with bristles is not: few
         searches come to it."""
         with suppress(Exception):  # XLA has failed where two compiled at once; its use asks again
-            _ = self._unbent._compiled
+            _ = self._unbent._program
 
     def answers(self, index: NDArray, c: NDArray, directions: NDArray) -> PushAnswer:
-        """For N pairs: pushes `index` (N,), coordinates (N, K), directions (N, D, K) or (D, K).
-        NumPy arrays come back, Gram matrices of D + 1 columns."""
+        """The answers for N pairs: pushes `index` (N,) at coordinates c (N, K), with derivatives
+        along directions (N, D, K) or (D, K). NumPy arrays come back, Gram matrices of D + 1
+        columns."""
         names = self.coordinates.names
         directions = np.broadcast_to(directions, (len(c), *np.shape(directions)[-2:]))
         bent = c[:, names.index(BRISTLES)] > 0 if BRISTLES in names else np.zeros(len(c), bool)
@@ -282,18 +316,18 @@ class ExtendedModel:
         padded[:, :D] = directions
         parts = [slice(lo, min(lo + BATCH, N)) for lo in range(0, N, BATCH)]
 
-        def do(part):
+        def answer(part: slice) -> Any:
             size = part.stop - part.start
             fill = np.minimum(np.arange(BATCH), size - 1)
             return jax.tree.map(
                 lambda a: np.asarray(a)[:size],
-                self._compiled(
+                self._program(
                     self._rig, self._pick_rows(index[part][fill]), c[part][fill], padded[part][fill]
                 ),
             )
 
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-            found = list(pool.map(do, parts))
+            found = list(pool.map(answer, parts))
         back = np.argsort(order)
         whole = jax.tree.map(lambda *a: np.concatenate(a)[back], *found)
         keep = [*range(D), self.directions]

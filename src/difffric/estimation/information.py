@@ -22,8 +22,8 @@ from difffric.rig.rig import Rig
 
 
 def design_data(rig: Rig, pushes: Pushes) -> tuple[Rig, FitData]:
-    """Pushes, or free slides, of which nothing was measured yet; and the rig, which has a stroke
-    where one of them has."""
+    """The data of pushes, or of free slides, of which nothing was measured yet; and the rig, with a
+    stroke where one of them has one."""
     n = len(pushes)
     if pushes.free_slides:
         kind, made = SLIDES, SlidePush(pushes.release_velocity, np.ones((n, 1)))
@@ -79,7 +79,7 @@ def information(
     scatter: float,
     free_start: bool = False,
 ) -> NDArray:
-    """What each push adds to the information (n, free, free) of the shared coordinates.
+    """What each push adds to the information (n, free, free) on the shared coordinates.
 
     `derivatives` (n, rows, coordinates) and their `weights` (n, rows), 1 / standard deviation.
     The push's own mu_s, under the scatter, and its start offset are marginalised.

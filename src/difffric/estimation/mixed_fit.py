@@ -120,8 +120,8 @@ def _add_bounds(model: Model, data: FitData, at: Settled, factor: NDArray | floa
 
 
 def full_covariance(model: Model, data: FitData, at: Settled) -> NDArray:
-    """The covariance (P, P) of the coordinates as if none were at a bound, except a damping that has
-    vanished."""
+    """The covariance (P, P) of the coordinates as if none were at a bound, except a damping that
+    has vanished."""
     return _free_held(model, data, at, 1.0)[0]
 
 
@@ -202,8 +202,8 @@ def _find_at_bounds(model: Model, data: FitData, at: Settled) -> NDArray:
 
 
 def _clip(model: Model, theta: NDArray, stuck: NDArray) -> NDArray:
-    """The coordinates with those that are `stuck` (P,) at the bound that they passed, or, where
-    there is none, at that of a parameter that vanished."""
+    """The coordinates, those `stuck` (P,) at the bound that they passed, or, where
+    there is none, at that of one that vanished."""
     layout = model.layout
     clipped = np.clip(theta, layout.lower, layout.upper)
     nothing = np.where(np.isfinite(layout.lower), layout.lower, NOTHING)

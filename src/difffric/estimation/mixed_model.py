@@ -16,8 +16,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from difffric.compute.program_cache import kept
-from difffric.compute.xla_options import soon_compiled
+from difffric.compute.program_cache import cache_program
+from difffric.compute.xla_options import compile_soon
 
 Array = Any  # NumPy's outside a compiled program, JAX's within
 
@@ -84,7 +84,7 @@ def spread_coordinates(problem: Problem, point: FitPoint) -> Float[jax.Array, "p
     return c
 
 
-@kept
+@cache_program
 def _respond(problem: Problem, point: FitPoint) -> Any:
     """What every push answers at a point: `residuals.Rows`, stacked."""
 
@@ -148,5 +148,5 @@ def _minimise(problem: Problem, start: FitPoint, steps: Array) -> End:
     return End(point, rows, model, jumps, chi2, solution.stats["num_steps"])
 
 
-minimise = kept(_minimise)
-minimise_soon = soon_compiled(_minimise)
+minimise = cache_program(_minimise)
+minimise_soon = compile_soon(_minimise)

@@ -28,7 +28,7 @@ _K_V = "k_v_N_s_per_m"
 
 
 def open_units(rig: Rig, names: Sequence[str], fastest: float) -> NDArray:
-    """The standard error (free,), in coordinates, from which on each parameter counts as open.
+    """The standard error (free,), in coordinates, from which each parameter counts as open.
 
     1 of a logarithm; for k_v what makes `SHARE` of the friction `mu_k F_N + k_v v` at the
     fastest speed [m/s]. `rig` holds scalars.
@@ -46,7 +46,7 @@ def open_units(rig: Rig, names: Sequence[str], fastest: float) -> NDArray:
 def list_undetermined(
     labels: Sequence[str], names: Sequence[str], covariance: NDArray, unit: NDArray
 ) -> list[dict]:
-    """The parameters that are not determined, in groups, each with its reason.
+    """The parameters that the data leave open, in groups: `parameters` (labels) and `reason`.
 
     `covariance` (free, free) is that of the coordinates; a variance of 0 says that the data do
     not depend on the parameter at all. `unit` (free,) is from `units`. A parameter is flat where
@@ -98,11 +98,13 @@ def list_undetermined(
 
 
 def _make_entry(parameters: list[str], reason: str) -> dict:
+    """A group of parameters with its reason, as `result.json` has it."""
     return {"parameters": parameters, "reason": reason}
 
 
 def _compute_errors_alone(C: NDArray) -> NDArray:
-    """Standard error of each with all others known: the inverse covariance's diagonal."""
+    """The standard error of each parameter with all others known, from their covariance C: the
+    inverse covariance's diagonal."""
     size = np.sqrt(np.diag(C))
     values, vectors = np.linalg.eigh(C / np.outer(size, size))
     information = (vectors**2 / np.maximum(values, 1e-15)).sum(axis=1) / size**2
@@ -110,8 +112,8 @@ def _compute_errors_alone(C: NDArray) -> NDArray:
 
 
 def _sparsify(V: NDArray) -> tuple[list[int], NDArray]:
-    """The space of V's columns (left, wide) by vectors each 1 at its own pivot and 0 at the
-    others', so that what is open by itself does not mix with the rest."""
+    """Pivots, and vectors (left, wide) that span the same space as V's columns, each 1 at its own
+    pivot and 0 at the others', so that what is open by itself does not mix with the rest."""
     rest, pivots = V.copy(), []
     for _ in range(V.shape[1]):
         p = int(np.argmax((rest**2).sum(axis=1)))
@@ -122,6 +124,8 @@ def _sparsify(V: NDArray) -> tuple[list[int], NDArray]:
 
 
 def _tell_flat(name: str, own: float, unit: float) -> str:
+    """The reason of a parameter that stays open with all others known: its standard error is `own`
+    times `unit`, in coordinates."""
     if own >= UNSEEN:
         return "flat: the data do not depend on it"
     said = "one standard error, with all others known, is"
@@ -131,15 +135,22 @@ def _tell_flat(name: str, own: float, unit: float) -> str:
     return f"flat: {said} a factor of {np.exp(min(own * unit, 50.0)):.3g}"
 
 
-def _tell_trade(first: int, moves: dict[int, float], labels, names, scale) -> str:
-    """The direction along which the data say nothing, for a small step of the first."""
+def _tell_trade(
+    first: int,
+    moves: dict[int, float],
+    labels: Sequence[str],
+    names: Sequence[str],
+    scale: NDArray,
+) -> str:
+    """The direction along which the data say nothing, in words: how far each parameter moves, in
+    units of its `scale` (free,), for a small step of the first."""
     steps = {j: w * scale[j] / scale[first] for j, w in moves.items()}
     shown = [j for j in steps if j != first and abs(moves[j]) > _PART]
     shown.sort(key=lambda j: -abs(moves[j]))
     own = PARAMETERS[names[first]].step
     base = 0.01 if own is None else 1.0 / own
 
-    def step(j: int, x: float) -> str:
+    def tell_step(j: int, x: float) -> str:
         size = abs(x) * base
         how = "up" if x > 0 else "down"
         row = PARAMETERS[names[j]]
@@ -148,7 +159,9 @@ def _tell_trade(first: int, moves: dict[int, float], labels, names, scale) -> st
         return f"{labels[j]} {how} {size * row.step:.2g} {row.unit}".rstrip()
 
     if not shown:
-        return f"these data hardly see {step(first, 1.0)}"
-    with_ = " and ".join(step(j, steps[j]) for j in shown)
+        return f"these data hardly see {tell_step(first, 1.0)}"
+    with_ = " and ".join(tell_step(j, steps[j]) for j in shown)
     others = ", ".join(labels[j] for j in shown)
-    return f"traded off against {others}: these data hardly see {step(first, 1.0)} with {with_}"
+    return (
+        f"traded off against {others}: these data hardly see {tell_step(first, 1.0)} with {with_}"
+    )

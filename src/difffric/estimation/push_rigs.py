@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from difffric.compute.pytrees import replicate
-from difffric.estimation.stacked_data import find_strokes
 from difffric.measurements.pushes import Pushes
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
@@ -18,6 +18,13 @@ def make_push_rigs(rig: Rig, pushes: Pushes) -> Rig:
     """
     rigs = replicate(rig, len(pushes))
     mass = np.where(np.isnan(pushes.mass), rigs.mass, pushes.mass)
-    _, strokes = find_strokes(rig, pushes.stroke)
-    none = rig.pusher.stroke is None and np.isinf(strokes).all()
-    return parameters.override(rigs, {"mass_kg": mass}, None if none else np.asarray(strokes))
+    strokes = fill_strokes(rig.pusher.stroke, pushes.stroke)
+    return parameters.override(rigs, {"mass_kg": mass}, strokes)
+
+
+def fill_strokes(own: float | None, stroke: NDArray) -> NDArray | None:
+    """Each push's stroke [m] (n,), infinite without one: what the push says, else the rig's `own`.
+    None where neither the rig nor any push has one."""
+    if own is None and np.isnan(stroke).all():
+        return None
+    return np.where(np.isnan(stroke), np.inf if own is None else float(own), stroke)

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from difffric.compute import pytrees
 from difffric.estimation.coordinates import START, rig_at, to_value
@@ -17,11 +18,11 @@ from difffric.rig import parameters
 from difffric.rig.rig import Rig
 from difffric.simulation.observables import observe
 from difffric.simulation.oscillator import ViscousSlide
-from difffric.simulation.segments import Push
+from difffric.simulation.segments import Integrator, Push
 from difffric.simulation.trajectory import Trajectory
 
 FORCE, DISTANCE = 0, 1
-"""Channels of the rows: the force sensor's and the probe's."""
+"""The channels of rows: the force sensor's and the probe's."""
 
 Array = Any  # NumPy's outside a compiled program, JAX's within
 
@@ -53,18 +54,18 @@ class TablePush(NamedTuple):
 
     channels = (FORCE, DISTANCE)
 
-    def respond(self, rig: Rig, integrator, coordinates) -> Rows:
-        """Residuals of F_p and d. Where the model's part never leaves the tip it slides no
-        distance: d counts as 0."""
+    def respond(self, rig: Rig, integrator: Integrator, coordinates: Array) -> Rows:
+        """The residuals of F_p and d. Where the model's part never leaves the tip it slides no
+        distance: d counts as 0. What was not measured has a residual and derivatives of 0."""
 
-        def residual(c):
+        def compare(c: Array) -> Any:
             seen = observe(_set_stroke(rig_at(rig, c), self.stroke), self.velocity, integrator)
             model = jnp.stack([seen.peak_force, seen.sliding_distance])
             reached = jnp.where(jnp.isnan(model), 0.0, model)
             r = jnp.where(jnp.isnan(self.measured), 0.0, self.measured - reached)
             return r, (r, model)
 
-        jacobian, (r, model) = jax.jacfwd(residual, has_aux=True)(coordinates)
+        jacobian, (r, model) = jax.jacfwd(compare, has_aux=True)(coordinates)
         jacobian = jnp.where(jnp.isnan(jacobian), 0.0, jacobian)
         return Rows(jnp.column_stack([jacobian, r]), model, jnp.full(1, jnp.inf))
 
@@ -78,17 +79,17 @@ class SlidePush(NamedTuple):
 
     channels = (DISTANCE,)
 
-    def respond(self, rig: Rig, integrator, coordinates) -> Rows:
+    def respond(self, rig: Rig, integrator: Integrator, coordinates: Array) -> Rows:
         """Residual of d, `ViscousSlide.rest` of equation (2) without contact."""
 
-        def residual(c):
+        def compare(c: Array) -> Any:
             at = rig_at(rig, c)
             slide = ViscousSlide(-at.free(0.0), -jax.jacfwd(at.free)(0.0))
             d = slide.rest(self.release_velocity)[1]
             r = self.measured - d
             return r, (r, jnp.stack([jnp.nan, d]))
 
-        jacobian, (r, model) = jax.jacfwd(residual, has_aux=True)(coordinates)
+        jacobian, (r, model) = jax.jacfwd(compare, has_aux=True)(coordinates)
         return Rows(jnp.column_stack([jacobian, r]), model, jnp.full(1, jnp.inf))
 
 
@@ -103,9 +104,11 @@ class Grid(NamedTuple):
     t: Array | None
     """None: the force's"""
     y: Array
+    """measured means"""
     a: Array
     b: Array
     before: Array
+    """the index of the sample before, across gaps"""
     curve: Array
     """(): 1/24 of a block's squared length over the squared step, 0 for single samples"""
 
@@ -121,11 +124,11 @@ class TracePush(NamedTuple):
 
     channels = (FORCE, DISTANCE)
 
-    def respond(self, rig: Rig, integrator, coordinates) -> Rows:
-        """All samples, as the triangular factor of their [J | r], a channel after the other: a
-        few rows with the same normal equations and the same sum of squares."""
+    def respond(self, rig: Rig, integrator: Integrator, coordinates: Array) -> Rows:
+        """The residuals of all samples, as the triangular factor of their [J | r], a channel after
+        the other: a few rows with the same normal equations and the same sum of squares."""
 
-        def residual(c):
+        def compare(c: Array) -> Any:
             at = _set_stroke(rig_at(rig, c), self.stroke)
             push = Push.of(at, self.velocity, integrator)
             trajectory = Trajectory.of(pytrees.as_arrays(push), TRACE_CYCLES, TRACE_STRIDES)
@@ -142,15 +145,19 @@ class TracePush(NamedTuple):
             model = jnp.stack([seen.peak_force, seen.sliding_distance])
             return rows, (rows, model, trajectory.segments.t + offset)
 
-        jacobian, (rows, model, jumps) = jax.jacfwd(residual, has_aux=True)(coordinates)
+        jacobian, (rows, model, jumps) = jax.jacfwd(compare, has_aux=True)(coordinates)
         factors = [_factorise(J, r) for J, r in zip(jacobian, rows, strict=True)]
         return Rows(jnp.concatenate(factors), model, jumps)
 
 
-def _factorise(jacobian, r):
-    """The triangular factor of [J | r] by modified Gram-Schmidt: as accurate as Householder's,
-    its diagonal not negative, so that it is continuous, and without a call to LAPACK, which
-    may block when it is called for many pushes at once."""
+def _factorise(
+    jacobian: Float[jax.Array, "samples coordinates"], r: Float[jax.Array, " samples"]
+) -> Float[jax.Array, "rows rows"]:
+    """The triangular factor of [J | r] by modified Gram-Schmidt.
+
+    It is as accurate as Householder's, its diagonal is not negative, so that it is continuous, and
+    it needs no call to LAPACK, which may block when it is called for many pushes at once.
+    """
     A = jnp.column_stack([jacobian, r])
     size = A.shape[1]
 
@@ -165,26 +172,30 @@ def _factorise(jacobian, r):
     return jax.lax.fori_loop(0, size, column, (A, jnp.zeros((size, size))))[1]
 
 
-def _set_stroke(rig: Rig, stroke) -> Rig:
-    """The rig with this push's stroke; without any it stops at the first loss of contact."""
+def _set_stroke(rig: Rig, stroke: Array) -> Rig:
+    """The rig with this push's stroke [m], if it has any; without one the pusher stops at the first
+    loss of contact."""
     return rig if rig.pusher.stroke is None else parameters.with_stroke(rig, stroke)
 
 
-def _average_blocks(grid: Grid, model):
+def _average_blocks(grid: Grid, model: Array) -> Array:
+    """The model's means over blocks, from its values in their middles."""
     bend = model[:-2] - 2 * model[1:-1] + model[2:]
     return model.at[1:-1].add(grid.curve * bend)
 
 
-def _whiten(grid: Grid, x):
+def _whiten(grid: Grid, x: Array) -> Array:
+    """Residuals of a channel made independent of each other."""
     return grid.a * x - grid.b * x[grid.before]
 
 
-def _whiten_residuals(grid: Grid, model):
+def _whiten_residuals(grid: Grid, model: Array) -> Array:
+    """Measured less model, made independent."""
     return _whiten(grid, grid.y - _average_blocks(grid, model))
 
 
-def _centre_residuals(grid: Grid, model):
-    """Whitened residuals less what an unknown zero can explain."""
+def _centre_residuals(grid: Grid, model: Array) -> Array:
+    """Measured less model, made independent, less what an unknown zero can explain."""
     r, one = _whiten_residuals(grid, model), _whiten(grid, jnp.ones_like(grid.y))
     norm = jnp.sum(one**2)
     return r - one * (jnp.sum(one * r) / jnp.where(norm > 0, norm, 1.0))

@@ -1,5 +1,9 @@
-"""Measured pushes as a fit takes them: stacked and padded, each row with what is known of its
-noise. One padded shape serves many data sets with one compiled program."""
+"""Measured pushes as a calibration takes them: stacked and padded, with the noise of each row.
+
+`table_data`, `slides_data` and `traces_data` make `FitData` from the three kinds of data. One
+padded shape serves many data sets with one compiled program. To add a kind, add a function here
+and a class to `residuals`.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +19,7 @@ from numpy.typing import NDArray
 from difffric.errors import InputError
 from difffric.estimation.block_means import stack_even
 from difffric.estimation.mixed_model import PADDING
+from difffric.estimation.push_rigs import fill_strokes
 from difffric.estimation.residuals import Grid, SlidePush, TablePush
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
@@ -23,6 +28,7 @@ from difffric.rig import parameters
 from difffric.rig.rig import Rig
 
 TABLE, SLIDES, RECORDINGS = "table", "slides", "recordings"
+"""The kinds of data."""
 
 
 @dataclass(frozen=True)
@@ -67,8 +73,9 @@ def sensor_errors(rig: Rig) -> tuple[float | None, float | None]:
     return F, float(np.sqrt(2 * (probe.noise**2 + probe.resolution**2 / 12)))
 
 
-def pad(array, n: int):
-    """Entries of the first axis repeated up to the next multiple of `PADDING`."""
+def pad(array: Any, n: int) -> Any:
+    """An array, or a tree of arrays, with n entries along the first axis, padded with copies of the
+    first entry up to the next multiple of `PADDING`."""
     whole = -(-n // PADDING) * PADDING
     index = np.concatenate([np.arange(n), np.zeros(whole - n, int)])
     return jax.tree.map(lambda a: jnp.asarray(np.asarray(a)[index]), array)
@@ -77,15 +84,21 @@ def pad(array, n: int):
 def find_strokes(rig: Rig, stroke: NDArray) -> tuple[Rig, NDArray]:
     """Each push's stroke [m], infinite without one; and the rig, which then has a stroke too
     wherever a push has one."""
-    if rig.pusher.stroke is None and np.isnan(stroke).all():
+    own = rig.pusher.stroke
+    strokes = fill_strokes(own, stroke)
+    if strokes is None:
         return rig, np.full(len(stroke), np.inf)
-    default = np.inf if rig.pusher.stroke is None else float(rig.pusher.stroke)
-    return parameters.with_stroke(rig, default), np.where(np.isnan(stroke), default, stroke)
+    return parameters.with_stroke(rig, np.inf if own is None else float(own)), strokes
 
 
 def table_data(rig: Rig, pushes: Pushes, noise: Sequence[float | None]) -> tuple[Rig, FitData]:
-    """A table's F_p and d. `noise` (force, distance) stands in where a push gives no standard
-    error; where it is None too, the spread is estimated with the rest."""
+    """A table's F_p and d, and the rig, with a stroke where a push has one.
+
+    `noise` (force [N], distance [m]) stands in where a push gives no standard error; where it is
+    None too, the spread is estimated with the rest.
+
+    Raises `InputError` where nothing was measured.
+    """
     rig, strokes = find_strokes(rig, pushes.stroke)
     measured = np.stack([pushes.peak_force, pushes.sliding_distance], axis=1)
     given = np.stack([pushes.peak_force_se, pushes.sliding_distance_se], axis=1)
@@ -94,7 +107,8 @@ def table_data(rig: Rig, pushes: Pushes, noise: Sequence[float | None]) -> tuple
 
 
 def slides_data(rig: Rig, pushes: Pushes, noise: float | None) -> FitData:
-    """Free slides: d from the release speed, whose error counts through dd/dv = 2 d / v."""
+    """Free slides: d from the release speed, whose error counts through dd/dv = 2 d / v. `noise` [m]
+    stands in as in `table_data`. Raises `InputError` where nothing was measured."""
     d, v = pushes.sliding_distance, pushes.release_velocity
     through = np.nan_to_num(2 * d / v * pushes.release_velocity_se)
     own = np.where(
@@ -105,7 +119,19 @@ def slides_data(rig: Rig, pushes: Pushes, noise: float | None) -> FitData:
     return _add_noise(SLIDES, data, d[:, None], given[:, None], [None], ("distance",))
 
 
-def _add_noise(kind, data, measured, given, noise, names) -> FitData:
+def _add_noise(
+    kind: str,
+    data: Any,
+    measured: NDArray,
+    given: NDArray,
+    noise: Sequence[float | None],
+    names: Sequence[str],
+) -> FitData:
+    """The data of n pushes with m measured numbers each (n, m).
+
+    Their standard errors are those that are `given` (n, m), NaN where they are not, else `noise`
+    (m,); where that is None the spread is to be estimated. `names` (m,) are the channels'.
+    """
     n, m = measured.shape
     present = np.isfinite(measured)
     if not present.any():
@@ -149,7 +175,11 @@ def traces_data(
     jumps: NDArray | None = None,
     guard: float = 0.0,
 ) -> tuple[Rig, FitData]:
-    """Whole recordings. A channel's samples come as `coordinates` + 1 rows of equal weight."""
+    """Whole recordings, and the rig, with a stroke where one of them has one.
+
+    A channel's samples come as `coordinates` + 1 rows of equal weight. `fastest` [rad/s], `jumps`
+    (n, any) [s] and `guard` [s] are those of `block_means.stack_even`.
+    """
     rig, strokes = find_strokes(rig, np.array([r.stroke for r in recordings]))
     made = stack_even(recordings, details, strokes, fastest, jumps, guard)
     weights = np.repeat(np.where(made.counts > 0, 1.0 / made.levels, 0.0), coordinates + 1, axis=1)
@@ -173,11 +203,13 @@ def traces_data(
 
 
 def as_if_white(data: FitData) -> FitData:
-    """Recordings whose samples count as they are, whatever their noise's correlation."""
+    """The data of recordings with samples that count as if their noise had no correlation."""
 
-    def plain(grid: Grid) -> Grid:
+    def ignore_correlation(grid: Grid) -> Grid:
         return grid._replace(a=jnp.where(grid.a > 0, 1.0, 0.0), b=jnp.zeros_like(grid.b))
 
-    traces = data.pushes
-    traces = traces._replace(force=plain(traces.force), position=plain(traces.position))
-    return replace(data, pushes=traces)
+    force, position = data.pushes.force, data.pushes.position
+    pushes = data.pushes._replace(
+        force=ignore_correlation(force), position=ignore_correlation(position)
+    )
+    return replace(data, pushes=pushes)
