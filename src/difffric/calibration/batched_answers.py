@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
-from difffric.compute.xla_options import soon_compiled
+from difffric.compute.xla_options import compile_soon
 from difffric.estimation.descent import Model, pose_problem
 from difffric.estimation.mixed_model import Problem
 from difffric.estimation.stacked_data import FitData
@@ -17,7 +17,7 @@ BATCH = 256
 few enough that a search which needs some dozens does not compute many in vain."""
 
 
-@soon_compiled
+@compile_soon
 def _answer_batch(
     problem: Problem,
     thetas: Float[Array, "batch free"],

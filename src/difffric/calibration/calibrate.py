@@ -8,7 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.calibration.free_parameters import USUAL_SCATTER, choose_free, given_values, has_gauge
+from difffric.calibration.free_parameters import (
+    USUAL_SCATTER,
+    choose_free,
+    collect_given,
+    has_gauge,
+)
 from difffric.calibration.multistart import fit_from_starts, make_starts
 from difffric.calibration.recording_search import RecordingSearch
 from difffric.calibration.result import Fit, FitState
@@ -76,9 +81,14 @@ def fit(
     setup = rig if isinstance(rig, Setup) else Setup(rig)
     rig = check_rig(setup.rig)
     wishes = _Wishes(
-        free, per_condition, priors, free_start, robust, several_starts,
+        free,
+        per_condition,
+        priors,
+        free_start,
+        robust,
+        several_starts,
         integrator or default_integrator(rig),
-    )  # fmt: skip
+    )
     if isinstance(data, Recordings):
         recordings = checked_data(data, rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
         if robust:
@@ -136,9 +146,14 @@ def _arrange(setup: Setup, pushes: Pushes, wishes: _Wishes) -> _Arrangement:
     bounds = {k: (x.lower, x.upper) for k, x in setup.extras.items()}
     errors = {k: x.standard_error for k, x in setup.extras.items() if x.standard_error}
     arranged = layout(
-        setup.rig, names, wishes.per_condition, pushes.condition, given_values(pushes, names),
-        bounds, errors if wishes.priors else {},
-    )  # fmt: skip
+        setup.rig,
+        names,
+        wishes.per_condition,
+        pushes.condition,
+        collect_given(pushes, names),
+        bounds,
+        errors if wishes.priors else {},
+    )
     scatter, estimate = _first_scatter(setup, len(pushes), arranged.names, notes)
     model = Model(
         rig=setup.rig,

@@ -52,7 +52,7 @@ def choose_free(setup: Setup, pushes: Pushes, asked: Sequence[str] | None) -> tu
     return tuple(names)
 
 
-def given_values(pushes: Pushes, free: Sequence[str]) -> dict[str, NDArray]:
+def collect_given(pushes: Pushes, free: Sequence[str]) -> dict[str, NDArray]:
     """What the pushes say of parameters, by name, (n,) each [SI]; NaN where a push does not.
 
     A gauge's mu_s counts only where mu_s is not free.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.calibration.free_parameters import USUAL_SCATTER, choose_free, given_values
+from difffric.calibration.free_parameters import USUAL_SCATTER, choose_free, collect_given
 from difffric.errors import InputError
 from difffric.estimation.coordinates import Layout, layout, slope
 from difffric.estimation.descent import Model
@@ -101,7 +101,7 @@ def identifiable(
         if value is not None and not (np.isfinite(value) and value > 0):
             raise InputError(f"noise: that of the {what} is {value}: expected a number > 0")
     names = choose_free(setup, pushes, free)
-    given, notes = given_values(pushes, names), list[str]()
+    given, notes = collect_given(pushes, names), list[str]()
     arranged = layout(base, names, per_condition, pushes.condition, given, {}, {})
     scatter = USUAL_SCATTER if setup.mu_s_scatter is None else setup.mu_s_scatter
     scatter = scatter if "mu_s" in names else 0.0

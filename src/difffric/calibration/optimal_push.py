@@ -145,7 +145,7 @@ def next_push(
     added = added[:, keep][:, :, keep]
     good, notes = _find_usable(fit, added, answers)
     v, m, added, answers = designs.velocity[good], designs.mass[good], added[good], answers[good]
-    now = _known_information(fit, keep)
+    now = _gather_information(fit, keep)
     gain = np.linalg.slogdet(now + added)[1] - np.linalg.slogdet(now)[1]
     scale = np.array([abs(slope(fit.names[j], fit.value(fit.free[j]))) for j in keep])
     after = scale * np.sqrt(np.diagonal(np.linalg.inv(now + added), axis1=1, axis2=2))
@@ -293,7 +293,7 @@ def _find_usable(fit: Fit, added: NDArray, answers: NDArray) -> tuple[NDArray, l
     return good, notes
 
 
-def _known_information(fit: Fit, keep: list[int]) -> NDArray:
+def _gather_information(fit: Fit, keep: list[int]) -> NDArray:
     """The information (keep, keep) that the fit's data hold on the parameters `keep`."""
     model, data, at = fit.state.model, fit.state.data, fit.state.at
     now = linearise_at(model, data, at).evaluate(at.scatter, at.spreads)[1][np.ix_(keep, keep)]

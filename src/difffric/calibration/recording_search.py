@@ -72,8 +72,10 @@ class RecordingSearch:
         compiling = self._compile()
         best, reached, tried = None, 0, 0
         searches: tuple[Callable[[], list[Settled | None]], ...] = (
-            self._forces_first, self._tables_first, lambda: [None],
-        )  # fmt: skip
+            self._forces_first,
+            self._tables_first,
+            lambda: [None],
+        )
         for search in searches:
             try:
                 starts = search()

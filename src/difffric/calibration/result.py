@@ -39,9 +39,8 @@ class FitState:
 class Fit:
     """A calibrated rig, with what the data say of each free parameter.
 
-    `covariance` is that of the free parameters' coordinates (`coordinates`: logarithms, and k_v
-    as it is), for the noise as it was known or estimated: it is not scaled by the reduced
-    chi-square. A spread that was not estimated is NaN.
+    `free` and the arrays of that length stand in one order, `conditions` and the arrays (n,) in
+    that of the pushes.
     """
 
     rig: Rig
@@ -53,10 +52,12 @@ class Fit:
     names: tuple[str, ...]
     """the parameter behind each label"""
     theta: NDArray
-    """(free,) coordinates"""
+    """(free,) where the fit ended, in coordinates (`estimation.coordinates`)"""
     held: tuple[str, ...]
     """free parameters that went to a bound"""
     covariance: NDArray
+    """(free, free) of the coordinates, for the noise as it was known or estimated: it is not scaled
+    by the reduced chi-square"""
     ahead: NDArray
     """(free,) how far beyond its bound the unbounded estimate of one that is held lies"""
     freedom: NDArray
@@ -66,9 +67,13 @@ class Fit:
     scatter_se: float
     """NaN: it was not estimated, or is zero"""
     spread_force: float
+    """[N] the estimated standard error of F_p; NaN: it was known"""
     spread_distance: float
+    """[m] the estimated standard error of d; NaN: it was known"""
     chi2: float
+    """the sum of the squared residuals, each in units of its standard error"""
     degrees_of_freedom: int
+    """measured numbers less what was fitted"""
     converged: bool
     """settled, and on an answer that can be one: `notes` says why not"""
     starts_at_optimum: tuple[int, int]
@@ -78,12 +83,13 @@ class Fit:
     mu_s: NDArray
     """(n,) each push's own"""
     mu_s_se: NDArray
+    """(n,) its standard error"""
     start: NDArray
     """(n,) start offsets [s]"""
     peak_force: NDArray
-    """the calibrated model's F_p [N]"""
+    """(n,) the calibrated model's F_p [N]"""
     sliding_distance: NDArray
-    """the calibrated model's d [m], NaN where it does not exist"""
+    """(n,) the calibrated model's d [m], NaN where it does not exist"""
     state: FitState
     """the end of the search, for profiles and predictions. Not in `result.json`"""
     setup: Setup
@@ -93,11 +99,13 @@ class Fit:
     noise: dict[str, dict[str, float]] = field(default_factory=dict)
     """what is known of each channel's noise: level, correlation"""
     samples: int = 0
+    """how many numbers were measured"""
     left_out: int = 0
     """samples (block means) left out because they lie beside a jump"""
     notes: tuple[str, ...] = ()
     """what a reader should know"""
     skipped: tuple[str, ...] = ()
+    """pushes that were left out, each with the reason"""
     push_names: tuple[str, ...] = ()
     """of the recordings' groups, an entry a push; empty for other data"""
 
@@ -130,8 +138,11 @@ class Fit:
 
     def standard_error(self, label: str, scaled: bool = False) -> float | None:
         """A free parameter's standard error [SI]; None at a bound, and where nothing depends on
-        it. `scaled` by the root of the reduced chi-square, as where the noise is known up to a
-        factor only."""
+        the parameter.
+
+        With `scaled` it is multiplied by the root of the reduced chi-square, as befits noise that
+        is known up to a factor only.
+        """
         i = self.index(label)
         if label in self.held or self.covariance[i, i] == 0:
             return None
@@ -139,9 +150,11 @@ class Fit:
         return float(error * (np.sqrt(self.reduced_chi2) if scaled else 1.0))
 
     def interval(self, label: str, level: float = 0.95) -> tuple[float, float] | None:
-        """Confidence interval [SI] from the t-distribution of the coordinate. At a bound it
-        reaches from there to where the unbounded estimate's ends, which may be the bound; None
-        where the data do not feel the parameter any more."""
+        """A free parameter's confidence interval [SI], from the t-distribution of its coordinate.
+
+        At a bound the interval reaches from there to where that of the unbounded estimate ends,
+        which may be the bound itself. None where the data do not feel the parameter any more.
+        """
         i = self.index(label)
         variance = self.covariance[i, i]
         if label in self.held and variance == 0:
@@ -164,8 +177,8 @@ class Fit:
 
     @property
     def not_identifiable(self) -> list[dict]:
-        """Free parameters that these data do not determine, with the reason: at a bound, or as
-        `undetermined` says."""
+        """Free parameters that these data do not determine, in groups with the reason: they are
+        at a bound, or their covariance leaves them open (`estimation.open_parameters`)."""
         out = []
         for label in self.free:
             if label in self.held:
@@ -204,7 +217,7 @@ class Fit:
         return label in self.vanished or self.value(label) < self._parameter(label).upper
 
     def for_condition(self, condition: str) -> tuple[Rig, dict[str, int]]:
-        """The rig of one condition, and its free parameters (but mu_s) with their columns."""
+        """The rig of one condition, and where its free parameters (but mu_s) stand in `free`."""
         columns, new = {}, {}
         for j, (label, name) in enumerate(zip(self.free, self.names, strict=True)):
             if label in (name, f"{name}[{condition}]"):
@@ -266,20 +279,17 @@ class Fit:
             "noise": self.noise,
             "pushes": [
                 {
-                    "condition": c,
-                    "mu_s": {"value": mu, "standard_error": se},
-                    "start_offset_s": t,
-                    "peak_force_N": F,
-                    "sliding_distance_m": d,
+                    "condition": condition,
+                    "mu_s": {"value": self.mu_s[i], "standard_error": self.mu_s_se[i]},
+                    "start_offset_s": self.start[i],
+                    "peak_force_N": self.peak_force[i],
+                    "sliding_distance_m": self.sliding_distance[i],
                 }
-                for c, mu, se, t, F, d in zip(
-                    self.conditions, self.mu_s, self.mu_s_se, self.start, self.peak_force,
-                    self.sliding_distance, strict=True,
-                )
+                for i, condition in enumerate(self.conditions)
             ],
             "notes": list(self.notes),
             "skipped": list(self.skipped),
-        }  # fmt: skip
+        }
 
     def __str__(self) -> str:
         return format_fit(self.as_dict())

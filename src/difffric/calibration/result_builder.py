@@ -52,7 +52,7 @@ def build_fit(
     absurd = _find_absurd(model, at, freedom, reached)
     notes = [*notes, *absurd, *_note_doubts(data, at, freedom, reduction)]
     return Fit(
-        rig=parameters.with_values(setup.rig, _shared_values(layout, at)),
+        rig=parameters.with_values(setup.rig, _average_values(layout, at)),
         kind=data.kind,
         free=layout.labels,
         names=layout.names,
@@ -71,7 +71,7 @@ def build_fit(
         starts_at_optimum=reached,
         conditions=tuple(pushes.condition),
         mu_s=np.exp(log_mu),
-        mu_s_se=np.exp(log_mu) * _carry_errors(model, data, at),
+        mu_s_se=np.exp(log_mu) * _propagate_errors(model, data, at),
         start=start_offsets(at),
         peak_force=F,
         sliding_distance=d,
@@ -87,9 +87,11 @@ def build_fit(
     )
 
 
-def _shared_values(layout: Layout, at: Settled) -> dict[str, float]:
-    """The values [SI] by name: of a parameter with several conditions the mean, and zero for one
-    that ran towards it."""
+def _average_values(layout: Layout, at: Settled) -> dict[str, float]:
+    """The fitted values [SI] by name.
+
+    A parameter with a value for each condition has their mean, one that ran towards zero is zero.
+    """
     names, found = layout.names, layout.value(at.theta)
     new = {}
     for name in dict.fromkeys(names):
@@ -167,9 +169,9 @@ def _describe_noise(reduction: Reduction) -> dict[str, dict[str, float]]:
     return out
 
 
-def _carry_errors(model: Model, data: FitData, at: Settled) -> NDArray:
-    """Relative standard error of each push's own mu_s (n,), that of the shared parameters
-    carried through."""
+def _propagate_errors(model: Model, data: FitData, at: Settled) -> NDArray:
+    """Relative standard error of each push's own mu_s (n,), with what the errors of the shared
+    parameters add to it."""
     P = model.layout.n_free
     felt = ~(at.held & (at.theta <= NOTHING))
     L = linearise_at(model, data, replace(at, held=~felt))

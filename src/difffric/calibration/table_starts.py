@@ -113,9 +113,12 @@ def _scatter_about_forces(model: Model, data: FitData, box: list[NDArray]) -> ND
     if best is None:
         return np.zeros((0, layout.n_free))
     forces = replace(
-        data, weights=best.weights, group=np.full(data.group.shape, -1), counts=np.zeros(0),
+        data,
+        weights=best.weights,
+        group=np.full(data.group.shape, -1),
+        counts=np.zeros(0),
         least=np.zeros(0),
-    )  # fmt: skip
+    )
     free = ~best.held
     linear = linearise_at(model, forces, best)
     X = linear.evaluate(best.scatter, np.zeros(0))[1][np.ix_(free, free)]
