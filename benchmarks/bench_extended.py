@@ -64,7 +64,7 @@ REFERENCE = "difffric, Stribeck"
 # contender -> what makes its call, pushes, whose answer it is compared with
 CONTENDERS = {
     **{
-        f"difffric, {name}": (_batch(df.extended(_rig(), effects)), 4096, None)
+        f"difffric, {name}": (_batch(df.rig.extended(_rig(), effects)), 4096, None)
         for name, effects in OURS.items()
     },
     **{
@@ -72,9 +72,11 @@ CONTENDERS = {
         for name, (_, laws) in LAWS.items()
     },
     "difffric, all effects at once, at their null values": (
-        _batch(df.universal(_rig())), 1024, None,
+        _batch(df.rig.universal(_rig())), 1024, None,
     ),
-    "difffric, the affine rig, integrated": (_batch(_rig(), df.RungeKutta()), 4096, None),
+    "difffric, the affine rig, integrated": (
+        _batch(_rig(), df.simulation.RungeKutta()), 4096, None,
+    ),
 }  # fmt: skip
 
 

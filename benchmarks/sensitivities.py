@@ -54,7 +54,7 @@ def sensitivities(rig):
 
 
 def main():
-    rig = df.universal(df.spring_damper_rig(mass=18.9, mu_s=0.141, k=8e5, b=1500.0, k_v=5.0))
+    rig = df.rig.universal(df.spring_damper_rig(mass=18.9, mu_s=0.141, k=8e5, b=1500.0, k_v=5.0))
     velocity = jnp.repeat(jnp.array([10.0, 20, 30, 40, 50, 60, 80]) * 1e-3, 2)
     times = jnp.linspace(0.0, 0.1, SAMPLES) * jnp.ones((14, 1))
     program, columns = sensitivities(rig)

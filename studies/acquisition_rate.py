@@ -26,10 +26,10 @@ from difffric.acquisition.card import split_position
 from difffric.acquisition.push import Command
 from difffric.acquisition.recorder import acquire
 from difffric.commands.reports.acquire import PAPER_SPEEDS_MM_MIN, Run, commands, record
-from difffric.commands.simulated_rig import simulated_card
 from difffric.measurements.files.tdms_reader import read_recordings
 from difffric.rig.setup import Setup
 from difffric.rig.setup_toml import read_setup
+from difffric.studies.simulated_rig import simulated_card
 from fpga.emulator.emulator import emulated_card
 
 RATE = 200_000

@@ -20,12 +20,13 @@ os.environ.setdefault("JAX_CPU_ENABLE_ASYNC_DISPATCH", "0")  # as the command li
 
 import numpy as np
 
-from difffric import extended, spring_damper_rig
+from difffric import spring_damper_rig
 from difffric.centering.belief import Belief
 from difffric.centering.planning import Known, plan
 from difffric.commands.reports.centre import centre_answer
+from difffric.rig import extended
 from difffric.rig.rig import Rig
-from difffric.studies.centering_runs import MU_S, OURS, hidden_rings, runs
+from difffric.studies.centering_runs import MU_S, OURS, draw_rings, run_rings
 from difffric.studies.other_centering import RIVALS
 from difffric.units import from_um
 
@@ -109,9 +110,9 @@ def main() -> None:
         print(plan_times())
         return
     drift = a.drift_percent / 100
-    those = hidden_rings(a.rings, a.seed)
+    those = draw_rings(a.rings, a.seed)
     found = []
-    for run in runs(
+    for run in run_rings(
         known(drift), those, truth=HIDDEN[a.hidden](), drift=drift, verify=a.verify,
         ways=(OURS,) if a.alone else (OURS, *RIVALS),
         tell=lambda what, _: sys.stderr.write(f"\r{what} "),

@@ -14,12 +14,12 @@ import difffric as df
 from difffric.acquisition.card import METRES_PER_COUNT, VOLTS_PER_WORD, split_position
 from difffric.acquisition.push import Command
 from difffric.acquisition.recorder import acquire
-from difffric.commands.simulated_rig import SimulatedRig
 from difffric.identification.live import contradictions
 from difffric.measurements.checks import checked_data
 from difffric.measurements.files.tdms_reader import read_recordings
 from difffric.measurements.reduction.reduce import reduce_recordings
 from difffric.rig.setup_toml import read_setup
+from difffric.studies.simulated_rig import SimulatedRig
 from fpga.emulator.emulator import emulated_card
 from tests.card.hdl import simulate
 from tests.compiler import needs_compiler

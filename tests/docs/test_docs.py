@@ -1,13 +1,18 @@
 """What the pages say is true: their Python runs, and their links lead somewhere."""
 
+import ast
+import json
 import re
 import runpy
+import subprocess
+import sys
 from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
 
 import difffric
+from tests.public import is_public, public_names
 
 ROOT = Path(__file__).parents[2]
 TOP = [path for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md") if path.exists()]
@@ -61,10 +66,70 @@ def test_links_lead_somewhere(path):
     assert not broken
 
 
-def test_no_module_is_named_as_a_public_name():
-    """Importing such a module would put it in the function's place (decision 2)."""
-    modules = {path.stem for path in (ROOT / "src" / "difffric").glob("*.py")}
-    assert not modules & set(difffric.__all__)
+def test_no_module_takes_the_place_of_a_public_name():
+    """Importing a module makes it an attribute of its package: a function must not be there."""
+    for package, names in public_names():
+        folder = ROOT.joinpath("src", *package.split("."))
+        modules = {path.stem for path in folder.glob("*.py")}
+        packages = {path.parent.name for path in folder.glob("*/__init__.py")}
+        assert not names & (modules | packages), package
+
+
+def test_a_package_does_not_shadow_a_function():
+    code = (
+        "import difffric as df, difffric.calibration.calibrate, difffric.fleet.archive\n"
+        "assert callable(df.fit) and callable(df.calibration.fit) and callable(df.family)"
+    )
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+def test_the_import_is_light():
+    code = "import sys, difffric; sys.exit(bool({'jax', 'numpy'} & {*sys.modules}))"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+def test_a_name_that_has_moved_is_still_there_and_says_where_it_is():
+    with pytest.warns(DeprecationWarning, match=r"difffric\.rig\.ViscousCoulomb"):
+        assert difffric.ViscousCoulomb is difffric.rig.ViscousCoulomb
+    for name, package in difffric._MOVED.items():
+        with pytest.warns(DeprecationWarning):
+            assert getattr(difffric, name) is getattr(getattr(difffric, package), name)
+        assert name not in difffric.__all__
+    with pytest.raises(AttributeError):
+        _ = difffric.no_such_name
+
+
+def imports(code):
+    """(module, name) of each import of difffric's in a piece of Python."""
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("difffric"):
+            yield from ((node.module, alias.name) for alias in node.names)
+        elif isinstance(node, ast.Import):
+            for alias in node.names:
+                package, _, name = alias.name.rpartition(".")
+                if package.startswith("difffric"):
+                    yield package, name
+
+
+def examples():
+    """(where it stands, code) of all Python that the pages and notebooks show."""
+    for page in PAGES:
+        yield from ((f"{name(page)}:{line}", code) for line, code in blocks(page))
+    for notebook in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        for cell in json.loads(notebook.read_text(encoding="utf-8"))["cells"]:
+            if cell["cell_type"] == "code":
+                code = "".join(cell["source"])
+                yield name(notebook), re.sub(r"^\s*[%!].*$", "", code, flags=re.MULTILINE)
+
+
+def test_examples_import_public_names_only():
+    wrong = [
+        f"{where}: from {module} import {what}"
+        for where, code in examples()
+        for module, what in imports(code)
+        if not is_public(module, what)
+    ]
+    assert not wrong
 
 
 def test_the_catalogue_is_that_of_the_code():

@@ -11,10 +11,10 @@ from difffric.acquisition.card import open_card
 from difffric.commands.console import check_out, print_and_write
 from difffric.commands.options import Out, Quiet, require_positive
 from difffric.commands.reports import acquire as answers
-from difffric.commands.simulated_rig import simulated_card
 from difffric.errors import InputError
 from difffric.output_folder import open_folder
 from difffric.rig.setup_toml import read_setup
+from difffric.studies.simulated_rig import simulated_card
 from difffric.units import from_mm
 
 

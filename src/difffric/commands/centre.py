@@ -13,7 +13,7 @@ from difffric.commands.console import check_out, print_and_write, show_progress
 from difffric.commands.options import Out, Quiet, Setup, require_positive
 from difffric.commands.reports import centre as answers
 from difffric.rig.setup_toml import load_setup, read_setup
-from difffric.studies.centering_runs import OFFSETS, OURS, hidden_rings, runs
+from difffric.studies.centering_runs import OFFSETS, OURS, draw_rings, run_rings
 from difffric.studies.other_centering import RIVALS
 from difffric.units import from_um
 
@@ -46,10 +46,10 @@ def centre(
     )
     own = OFFSETS[0] if offset_um is None else from_um(offset_um)
     offsets = OFFSETS if offset_um is None else (own, own)
-    those = hidden_rings(rings, seed, (mu_s_from, mu_s_to), offsets)
+    those = draw_rings(rings, seed, (mu_s_from, mu_s_to), offsets)
     with show_progress(quiet) as tell:
         found = list(
-            runs(
+            run_rings(
                 known,
                 those,
                 truth=hidden,

@@ -115,8 +115,8 @@ def prepare_jax() -> None:
     cache = platformdirs.user_cache_path("difffric", appauthor=False)
     os.environ.setdefault("DIFFFRIC_PROGRAMS", str(cache / "programs"))
     folder = Path(os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache / "jax")))
-    if folder.name and private_folder.made(folder):
-        private_folder.swept(folder)
+    if folder.name and private_folder.make_private(folder):
+        private_folder.sweep(folder)
     elif os.environ.pop("JAX_COMPILATION_CACHE_DIR"):
         sys.stderr.write(f"difffric: {folder}: {private_folder.REFUSED}: JAX's cache is not used\n")
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")

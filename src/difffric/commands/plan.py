@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from difffric.centering.planning import Known, speeds_between
+from difffric.centering.planning import Known, space_speeds
 from difffric.centering.planning import plan as plan_push
 from difffric.commands.console import check_out, print_and_write, show_progress
 from difffric.commands.options import Out, Quiet, Setup, require_positive
@@ -49,7 +49,7 @@ def plan(
     offset, error, found = answers.offset_of(offset_um, offset_se_um, ring, radius_mm)
     known = Known.of(
         said,
-        speeds=speeds_between(from_mm_min(slowest_mm_min), from_mm_min(fastest_mm_min)),
+        speeds=space_speeds(from_mm_min(slowest_mm_min), from_mm_min(fastest_mm_min)),
         within=from_um(within_um),
         reach=from_mm(reach_mm),
     )

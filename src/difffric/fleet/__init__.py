@@ -14,3 +14,7 @@ Both hand their tasks to `workers`: this process, several new ones, or a dask cl
 work on a fleet is a function of one task, which writes its answer whole and returns what went wrong
 in place of raising it, and a loop like those over `run(function, tasks)`.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.centering.loop import Centering, centre
-from difffric.centering.machine import Readings, SimulatedMachine
+from difffric.centering.machine import PushReadings, SimulatedMachine
 from difffric.centering.planning import Known
 from difffric.centering.ring import Ring
 from difffric.progress import Tell, silent
@@ -34,7 +34,7 @@ class HiddenRing:
 
 
 @dataclass(frozen=True)
-class Run:
+class CenteringRun:
     """One ring, centred in one way."""
 
     way: str
@@ -47,12 +47,12 @@ class Run:
         """(pushes,) whether the ring was truly within it after each push."""
         return np.hypot(*self.path[1:].T) <= tolerance
 
-    def centred(self, tolerance: float) -> bool:
+    def is_centred(self, tolerance: float) -> bool:
         """Whether it truly was in the end, and the loop said so."""
         return self.centering.reason is None and bool(np.hypot(*self.path[-1]) <= tolerance)
 
 
-class _Watched:
+class _WatchedMachine:
     """A simulated machine, and where it moved the ring."""
 
     def __init__(self, machine: SimulatedMachine):
@@ -61,13 +61,13 @@ class _Watched:
     def measure(self) -> Ring:
         return self.machine.measure()
 
-    def push(self, velocity: float, stroke: float, direction: float) -> Readings:
+    def push(self, velocity: float, stroke: float, direction: float) -> PushReadings:
         found = self.machine.push(velocity, stroke, direction)
         self.path.append(self.machine.offset)
         return found
 
 
-def hidden_rings(
+def draw_rings(
     n: int, seed: int, mu_s: tuple[float, float] = MU_S, offsets: tuple[float, float] = OFFSETS
 ) -> list[HiddenRing]:
     """n rings: mu_s uniform, the offset log-uniform [m] in any direction."""
@@ -83,7 +83,7 @@ def hidden_rings(
     return out
 
 
-def runs(
+def run_rings(
     known: Known,
     rings: Sequence[HiddenRing],
     *,
@@ -93,7 +93,7 @@ def runs(
     drift: float = 0.0,
     verify: bool = False,
     tell: Tell = silent,
-) -> Iterator[Run]:
+) -> Iterator[CenteringRun]:
     """Centre each ring in each way; every way meets the same ring, noise and scatter.
 
     `truth` is the rig behind the machine where it is not the one that is planned with.
@@ -108,9 +108,30 @@ def runs(
                 hidden, ring.offset, np.random.default_rng(ring.seed), drift=drift,
                 scatter=known.mu_s.scatter if scatter is None else scatter,
             )  # fmt: skip
-            watched = _Watched(machine)
+            watched = _WatchedMachine(machine)
             if way == OURS or rivals is None:
                 found = centre(watched, known, verify=verify)
             else:
                 found = rivals.centre(watched, way)
-            yield Run(way, ring, found, np.array(watched.path))
+            yield CenteringRun(way, ring, found, np.array(watched.path))
+
+
+def summarize_ways(found: Sequence[CenteringRun], within: float) -> dict[str, dict[str, float]]:
+    """Return for each way the share of rings within the tolerance [m], and what they took."""
+    return {
+        way: _summarize([r for r in found if r.way == way], within)
+        for way in dict.fromkeys(r.way for r in found)
+    }
+
+
+def _summarize(own: Sequence[CenteringRun], within: float) -> dict[str, float]:
+    time = np.array([r.centering.time for r in own])
+    pushes = np.array([len(r.centering.pushes) for r in own])
+    return {
+        "rings": len(own),
+        "centred": float(np.mean([r.is_centred(within) for r in own])),
+        "time_median_s": float(np.median(time)),
+        "time_mean_s": float(time.mean()),
+        "pushes_mean": float(pushes.mean()),
+        "measurements_mean": float(np.mean([r.centering.measurements for r in own])),
+    }

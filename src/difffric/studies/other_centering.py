@@ -50,13 +50,13 @@ class Rivals:
         return centre(machine, known, measure_each=rival == SLOWEST)
 
     def _by_surrogates(self, known: Known, plan: Plan, readings: PushReadings) -> Belief | None:
-        mu_s = surrogate_mu_s(self, plan.next.velocity, readings)
+        mu_s = combine_surrogates(self, plan.next.velocity, readings)
         if not np.isfinite(mu_s):
             return None
         return Belief.normal(float(np.clip(mu_s, 0.02, 1.0)), 0.0, known.mu_s.scatter)
 
 
-def surrogate_mu_s(rivals: Rivals, velocity: float, readings: PushReadings) -> float:
+def combine_surrogates(rivals: Rivals, velocity: float, readings: PushReadings) -> float:
     """mu_s by (4), (6) and (7); by (4) alone where (6) has no answer."""
     force, distance = rivals.force, rivals.distance
     by_force = float(force.mu_s(velocity, readings.peak_force))

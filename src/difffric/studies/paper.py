@@ -48,7 +48,7 @@ class Printed:
     error_percent_printed: float | None
 
 
-def printed() -> list[Printed]:
+def read_tables() -> list[Printed]:
     """Tables I-V as printed, 26 rows in their order."""
     text = (
         resources.files("difffric.studies").joinpath("paper_tables.csv").read_text(encoding="utf-8")
@@ -68,9 +68,9 @@ def printed() -> list[Printed]:
     ]
 
 
-def pushes() -> Pushes:
+def load_pushes() -> Pushes:
     """The 12 pushes behind Tables I-IV: DRY at six speeds, then OILY."""
-    rows = printed()
+    rows = read_tables()
     force, distance = (
         {(r.condition, r.velocity_mm_min): r for r in rows if r.quantity == quantity}
         for quantity in ("peak_force_N", "sliding_distance_um")
@@ -84,7 +84,7 @@ def pushes() -> Pushes:
     )
 
 
-def rough_rig(stroke: float | None = None) -> Rig:
+def guess_rig(stroke: float | None = None) -> Rig:
     """The paper's part with a first guess of what is not printed: k from equation (3)'s slope,
     C_v = sqrt(k m), b from a damping ratio of 0.2."""
     mass = 18.9
@@ -114,30 +114,30 @@ class Paper:
     diagnosis: Diagnosis
     """of all 24, all pushes of one speed held out at a time"""
 
-    def rows(self) -> list[dict]:
+    def list_rows(self) -> list[dict]:
         """The 24 measurements of Tables I-IV, in their order."""
-        return self._rows(self.identified)
+        return self._list_rows(self.identified)
 
-    def _rows(self, identified) -> list[dict]:
-        return [_row(r, _of(identified, r)) for r in printed() if r.measured is not None]
+    def _list_rows(self, identified) -> list[dict]:
+        return [_make_row(r, _find_answer(identified, r)) for r in read_tables() if r.measured is not None]
 
-    def weighted(self) -> list[dict]:
+    def list_weighted(self) -> list[dict]:
         """Equation (7) for every push, with surrogates and with the model, and the optimum."""
-        return self._weighted(self.identified)
+        return self._list_weighted(self.identified)
 
-    def _weighted(self, identified) -> list[dict]:
-        in_print = {(r.condition, r.velocity_mm_min): r for r in printed() if r.table == "V"}
-        ratio, p, out = published_range_ratio(), self.pushes, []
+    def _list_weighted(self, identified) -> list[dict]:
+        in_print = {(r.condition, r.velocity_mm_min): r for r in read_tables() if r.table == "V"}
+        ratio, p, out = compute_published_ratio(), self.pushes, []
         for i, answer in enumerate(identified):
-            key = (p.condition[i], _speed(p, i))
+            key = (p.condition[i], _find_speed(p, i))
             blank = Printed("V", *key, float(p.mu_s_gauge[i]), "weighted", None, None, None)
             optimal = answer.mu_s_optimal
-            surrogate = surrogate_weighted(
+            surrogate = combine_surrogates(
                 p.velocity[i], p.peak_force[i], p.sliding_distance[i], ratio
             )
             out.append(
                 {
-                    **_head(in_print.get(key, blank)),
+                    **_make_head(in_print.get(key, blank)),
                     "mu_s_surrogate": float(surrogate),
                     "mu_s_model": answer.mu_s_weighted.value,
                     "mu_s_model_standard_error": answer.mu_s_weighted.standard_error,
@@ -150,15 +150,15 @@ class Paper:
             )
         return out
 
-    def errors(self) -> list[dict]:
+    def list_errors(self) -> list[dict]:
         """Mean absolute errors [%] over the six speeds: as printed, by the surrogates, and by
         the model calibrated without the speed judged, with and without the unreachable
         distances. Over the measurements that have an answer: how many stands beside.
         """
-        rows, combined = self.rows(), self.weighted()
+        rows, combined = self.list_rows(), self.list_weighted()
         rows_all, combined_all = (
-            self._rows(self.identified_on_all),
-            self._weighted(self.identified_on_all),
+            self._list_rows(self.identified_on_all),
+            self._list_weighted(self.identified_on_all),
         )
         kinds = (
             ("force", rows, rows_all, "mu_s_model", "peak_force_N"),
@@ -167,7 +167,7 @@ class Paper:
             ("optimal", combined, combined_all, "mu_s_optimal", None),
         )
         return [
-            _error_row(condition, name, some, every, model, quantity)
+            _make_error_row(condition, name, some, every, model, quantity)
             for condition in CONDITIONS
             for name, some, every, model, quantity in kinds
         ]
@@ -175,11 +175,11 @@ class Paper:
     def misfit(self) -> list[dict]:
         """Residuals of the calibrated model at the gauge's mu_s, and what it cannot reach."""
         p, c = self.pushes, self.calibration
-        d_model, bound = np.nan_to_num(c.sliding_distance), bound_on(p)
+        d_model, bound = np.nan_to_num(c.sliding_distance), bound_distance(p)
         return [
             {
                 "condition": p.condition[i],
-                "velocity_mm_min": _speed(p, i),
+                "velocity_mm_min": _find_speed(p, i),
                 "peak_force_residual_N": float(p.peak_force[i] - c.peak_force[i]),
                 "sliding_distance_residual_m": float(p.sliding_distance[i] - d_model[i]),
                 "lossless_bound_m": float(bound[i]),
@@ -199,14 +199,14 @@ class Paper:
     def as_dict(self) -> dict:
         """The answer as `result.json` holds it."""
         return {
-            "rows": self.rows(),
-            "weighted": self.weighted(),
-            "misprints": misprints(),
+            "rows": self.list_rows(),
+            "weighted": self.list_weighted(),
+            "misprints": find_misprints(),
             "calibration": self.calibration.as_dict(),
             "calibration_on_all_24": self.on_all.as_dict(),
             "strokes": self.stroke_study(),
             "misfit": self.misfit(),
-            "errors": self.errors(),
+            "errors": self.list_errors(),
             "stroke": "missing: the pusher stops at the first loss of contact",
             "diagnosis": self.diagnosis.as_dict(),
         }
@@ -218,8 +218,8 @@ def study(progress: Tell = silent) -> Paper:
     Distances above the lossless bound are left out of the calibration: no k, b and k_v can
     give them, so they could only bend the three. A calibration with them stands beside.
     """
-    measured, rig = pushes(), rough_rig()
-    impossible = measured.sliding_distance > bound_on(measured)
+    measured, rig = load_pushes(), guess_rig()
+    impossible = measured.sliding_distance > bound_distance(measured)
     nothing = np.zeros(len(measured), bool)
     speeds = sorted(set(measured.velocity.tolist()))
     work = 2 * (len(speeds) + 1) + 2 * len(STROKES_MM) + 6
@@ -230,27 +230,27 @@ def study(progress: Tell = silent) -> Paper:
         progress(what, done / work)
         done += by
 
-    def judged(hide_d, what):
+    def judge(hide_d, what):
         """A calibration on all speeds, and every push by one without its own speed."""
         step(f"calibrating {what}")
-        whole = fit(rig, _hidden(measured, nothing, hide_d))
+        whole = fit(rig, _hide(measured, nothing, hide_d))
         ratio, answers = family(whole.rig).range_ratio, {}
         for speed in speeds:
             step(f"judging {to_mm_min(speed):.0f} mm/min by the other speeds, {what}")
             now = measured.velocity == speed
-            blind = fit(rig, _hidden(measured, now, hide_d | now))
+            blind = fit(rig, _hide(measured, now, hide_d | now))
             found = identify(blind, measured, range_ratio=ratio)
             answers |= {i: found[i] for i in np.flatnonzero(now).tolist()}
         return whole, [answers[i] for i in range(len(measured))]
 
-    calibration, identified = judged(impossible, "on what the model can reach")
-    on_all, identified_on_all = judged(nothing, "on all 24 measurements")
+    calibration, identified = judge(impossible, "on what the model can reach")
+    on_all, identified_on_all = judge(nothing, "on all 24 measurements")
     strokes = {}
     for stroke_mm in STROKES_MM:
         step(f"a stroke of {stroke_mm:g} mm instead", by=2)
         stroke = from_mm(stroke_mm)
         guess = parameters.with_stroke(rig, stroke)
-        reachable = _hidden(measured, nothing, impossible)
+        reachable = _hide(measured, nothing, impossible)
         strokes[stroke] = fit(guess, reachable, several_starts=False)
     step("looking for what equation (2) gets wrong", by=6)
     diagnosis = diagnose(rig, measured, held_out="speed")
@@ -261,19 +261,19 @@ def study(progress: Tell = silent) -> Paper:
     )  # fmt: skip
 
 
-def bound_on(measured: Pushes, ratio: float = 0.75) -> NDArray:
+def bound_distance(measured: Pushes, ratio: float = 0.75) -> NDArray:
     """The lossless bound on each push's d at the gauge's mu_s [m]."""
     return compute_lossless_bound(measured.velocity, ratio * measured.mu_s_gauge)
 
 
-def _hidden(measured: Pushes, hide_F, hide_d) -> Pushes:
+def _hide(measured: Pushes, hide_F, hide_d) -> Pushes:
     """The same pushes with some measurements hidden: same shapes, so nothing is compiled anew."""
     F = np.where(hide_F, np.nan, measured.peak_force)
     d = np.where(hide_d, np.nan, measured.sliding_distance)
     return replace(measured, peak_force=F, sliding_distance=d)
 
 
-def surrogate_mu_s(row: Printed) -> float | None:
+def invert_surrogate(row: Printed) -> float | None:
     """A measurement's mu_s by the published (4) or (6)."""
     v = from_mm_min(row.velocity_mm_min)
     if row.measured is None:
@@ -283,14 +283,14 @@ def surrogate_mu_s(row: Printed) -> float | None:
     return float(PUBLISHED_DISTANCE.mu_s(v, row.measured * UM))
 
 
-def published_range_ratio() -> float:
+def compute_published_ratio() -> float:
     """(7)'s ratio of ranges of the published (3) and (5) over 500-5000 mm/min, 0.05-0.30 [N/m]."""
     v, mu = np.meshgrid(from_mm_min(SPEEDS_MM_MIN), MU_S)
     F, d = PUBLISHED_FORCE.peak_force(v, mu), PUBLISHED_DISTANCE.sliding_distance(v, mu)
     return float(np.ptp(F) / np.ptp(d))
 
 
-def surrogate_weighted(velocity, peak_force, sliding_distance, ratio):
+def combine_surrogates(velocity, peak_force, sliding_distance, ratio):
     """(4), (6) and (7) as published."""
     mu_F = PUBLISHED_FORCE.mu_s(velocity, peak_force)
     mu_d = PUBLISHED_DISTANCE.mu_s(velocity, sliding_distance)
@@ -298,7 +298,7 @@ def surrogate_weighted(velocity, peak_force, sliding_distance, ratio):
     return weighted(mu_F, mu_d, dF, dd, ratio)[0]
 
 
-def misprints() -> list[dict]:
+def find_misprints() -> list[dict]:
     """Printed mu_s that their own formula does not give."""
     return [
         {
@@ -307,14 +307,14 @@ def misprints() -> list[dict]:
             "printed": r.mu_s_printed,
             "recomputed": value,
         }
-        for r in printed()
-        if (value := surrogate_mu_s(r)) is not None
+        for r in read_tables()
+        if (value := invert_surrogate(r)) is not None
         and r.mu_s_printed is not None
         and abs(value - r.mu_s_printed) > PRINTED_WITHIN
     ]
 
 
-def _head(r: Printed) -> dict:
+def _make_head(r: Printed) -> dict:
     return {
         "table": r.table,
         "condition": r.condition,
@@ -325,21 +325,21 @@ def _head(r: Printed) -> dict:
     }
 
 
-def _row(r: Printed, answer: PushFriction) -> dict:
+def _make_row(r: Printed, answer: PushFriction) -> dict:
     force = r.quantity == "peak_force_N"
     estimate = answer.mu_s_force if force else answer.mu_s_distance
     return {
-        **_head(r),
+        **_make_head(r),
         "quantity": r.quantity,
         "measured": r.measured,
-        "mu_s_surrogate": surrogate_mu_s(r),
+        "mu_s_surrogate": invert_surrogate(r),
         "mu_s_model": estimate.value,
         "mu_s_model_standard_error": estimate.standard_error,
         "reason": answer.reason if estimate.value is None else None,
     }
 
 
-def _of(identified: list[PushFriction], r: Printed) -> PushFriction:
+def _find_answer(identified: list[PushFriction], r: Printed) -> PushFriction:
     return next(
         a
         for a in identified
@@ -347,11 +347,11 @@ def _of(identified: list[PushFriction], r: Printed) -> PushFriction:
     )
 
 
-def _speed(p: Pushes, i: int) -> float:
+def _find_speed(p: Pushes, i: int) -> float:
     return round(float(to_mm_min(p.velocity[i])), 6)
 
 
-def _error_row(condition, name, some, every, model, quantity) -> dict:
+def _make_error_row(condition, name, some, every, model, quantity) -> dict:
     def mean(rows, key):
         errors = [abs(r[key] / r["mu_s_gauge"] - 1) * 100 for r in rows if r[key] is not None]
         return float(np.mean(errors)) if errors else None

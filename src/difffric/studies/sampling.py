@@ -74,9 +74,9 @@ class Sampler:
         if self.jitter:
             normal = random.standard_normal(due.shape).clip(-_FARTHEST, _FARTHEST)
             due = np.sort(due + self.jitter * normal)
-        return self._preempted(due, random) if self.held else due
+        return self._preempt(due, random) if self.held else due
 
-    def _preempted(self, due: NDArray, random: np.random.Generator) -> NDArray:
+    def _preempt(self, due: NDArray, random: np.random.Generator) -> NDArray:
         """What becomes of samples (n, samples) under hold-ups, which may overlap."""
         gap = 0.5 * self.longest / max(-np.log1p(-self.held), 1e-15)  # rarer than that is never
         first, last = due.min() - self.longest, due.max()
@@ -97,7 +97,7 @@ DSP = Sampler(1 / 1010e-6, jitter=30e-6, held=0.05, longest=3e-3)
 """The paper's 1010 µs a sample, "slowed further by other threads"; by how much is assumed."""
 
 
-class Sampled(NamedTuple):
+class SampledPush(NamedTuple):
     """F_p [N] and d [m] as samples give them, each (n,)."""
 
     peak_force: NDArray
@@ -107,7 +107,7 @@ class Sampled(NamedTuple):
     is above the threshold"""
 
 
-def sampled(
+def sample_push(
     push: Trajectory,
     sampler: Sampler,
     phase: ArrayLike,
@@ -115,36 +115,36 @@ def sampled(
     threshold: float = 0.0,
     noise: float = 0.0,
     seed: int = 0,
-) -> Sampled:
+) -> SampledPush:
     """What each of n runs over the same push reads; `phase` (n,) as for `Sampler.times`.
 
     Contact is lost where the force is last seen to fall to `threshold` [N], and the position is
     read at that sample, exactly. `noise` [N] is a sample's standard deviation.
     """
     random = np.random.default_rng(seed)
-    t = sampler.times(phase, _release(push), random)
-    force = np.where(np.isfinite(t), _in_blocks(push.force, np.where(np.isfinite(t), t, -1.0)), 0)
+    t = sampler.times(phase, _find_release(push), random)
+    force = np.where(np.isfinite(t), _evaluate_in_blocks(push.force, np.where(np.isfinite(t), t, -1.0)), 0)
     if noise:
         force = force + noise * random.standard_normal(t.shape)
     force = np.where(np.isfinite(t), force, -np.inf)
     touching = np.where(force > threshold, t, -np.inf).max(axis=1)
     seen = np.where(t > touching[:, None], t, np.inf).min(axis=1)
-    slid = float(push.position(push.stop_time)) - _in_blocks(push.position, seen)
+    slid = float(push.position(push.stop_time)) - _evaluate_in_blocks(push.position, seen)
     exists = np.isfinite(touching) & (push.reason is None)
-    return Sampled(force.max(axis=1), np.where(exists, slid, np.nan))
+    return SampledPush(force.max(axis=1), np.where(exists, slid, np.nan))
 
 
-def sampled_friction(rig: Rig, velocity: float, seen: Sampled) -> tuple[NDArray, NDArray]:
+def estimate_friction(rig: Rig, velocity: float, seen: SampledPush) -> tuple[NDArray, NDArray]:
     """(mu_s from the force, mu_s from the distance), each (n,), by the exact inverse of the rig's
     model at `velocity` [m/s]. NaN: no mu_s gives the value."""
 
-    def inverse(target, quantity):
+    def invert_all(target, quantity):
         found = invert(rig, np.full(len(target), velocity), target, quantity)
         return np.array([np.nan if x.value is None else x.value for x in found])
 
     return (
-        inverse(seen.peak_force, "peak_force"),
-        inverse(seen.sliding_distance, "sliding_distance"),
+        invert_all(seen.peak_force, "peak_force"),
+        invert_all(seen.sliding_distance, "sliding_distance"),
     )
 
 
@@ -157,7 +157,7 @@ def mean_loss(push: Trajectory, rate: float) -> float:
     def slope(t):
         return jax.jvp(push.force, (t,), (1.0,))[1]
 
-    t, spacing = _highest(push)
+    t, spacing = _find_peak(push)
     first, second = map(float, jax.jvp(slope, (t,), (1.0,)))
     # A parabola whose vertex is here: a smooth peak. Else the force jumps at this end of a segment.
     if second < 0 and abs(first / second) <= spacing:
@@ -166,17 +166,17 @@ def mean_loss(push: Trajectory, rate: float) -> float:
     return abs(first) / (2 * rate)
 
 
-def _highest(push: Trajectory) -> tuple[float, float]:
+def _find_peak(push: Trajectory) -> tuple[float, float]:
     """When the force is largest on a grid over each segment in contact, and its spacing [s]."""
-    edges = np.unique(np.minimum(np.asarray(push.segments.t), _release(push)))
+    edges = np.unique(np.minimum(np.asarray(push.segments.t), _find_release(push)))
     inset = 1e-9 * np.diff(edges)  # at an edge itself a derivative is none of one side's
     times = np.linspace(edges[:-1] + inset, edges[1:] - inset, _GRID, axis=1)
-    force = _in_blocks(push.force, times)
+    force = _evaluate_in_blocks(push.force, times)
     row, column = np.unravel_index(np.argmax(force), force.shape)
     return float(times[row, column]), float(times[row, 1] - times[row, 0])
 
 
-def _release(push: Trajectory) -> float:
+def _find_release(push: Trajectory) -> float:
     """A time [s] by which contact is lost for good; where it is not, that of the last event."""
     free = np.asarray(push.segments.mode) == Mode.FREE
     t = np.asarray(push.segments.t)[free]
@@ -184,7 +184,7 @@ def _release(push: Trajectory) -> float:
     return float(t.max()) if push.reason is None and t.size else float(push.stop_time)
 
 
-def _in_blocks(function: Callable, t: NDArray) -> NDArray:
+def _evaluate_in_blocks(function: Callable, t: NDArray) -> NDArray:
     """A function of times (n,), at times of any number and shape."""
     flat = np.asarray(t, float).ravel()
     out = np.empty(-(-flat.size // _BLOCK) * _BLOCK)

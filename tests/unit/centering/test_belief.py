@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from difffric import Belief, InputError
+from difffric import InputError
+from difffric.centering import Belief
 
 shares = np.array([0.025, 0.16, 0.5, 0.84, 0.975])
 deviates = np.array([-1.959964, -0.994458, 0.0, 0.994458, 1.959964])
@@ -26,7 +27,7 @@ def test_normal_beliefs_are_kalmans(mean, error, scatter, drift, seen):
     m, P = math.log(mean), error**2
     for off, se in seen:
         own = m + off * math.hypot(math.sqrt(P), scatter)
-        belief = belief.seen(math.exp(own), se)
+        belief = belief.update_with_value(math.exp(own), se)
         P += drift**2
         K = P / (P + scatter**2 + se**2)
         m, P = m + K * (own - m), (1 - K) * P
@@ -51,13 +52,15 @@ def test_a_uniform_belief_has_uniform_quantiles(lower, width):
 
 
 def test_what_was_held_impossible_begins_anew_from_the_push():
-    belief = Belief.uniform(0.1, 0.12, 0.01).seen(0.4, 0.001)
+    belief = Belief.uniform(0.1, 0.12, 0.01).update_with_value(0.4, 0.001)
     assert belief.mean[0] == pytest.approx(0.4, rel=0.01)
 
 
 def test_an_expected_push_narrows_as_a_push_does():
     belief = Belief.normal(0.141, 0.05, 0.015)
-    assert belief.expected().mean[1] == pytest.approx(belief.seen(0.141, 0.0).mean[1], rel=0.03)
+    assert belief.foresee().mean[1] == pytest.approx(
+        belief.update_with_value(0.141, 0.0).mean[1], rel=0.03
+    )
 
 
 @pytest.mark.parametrize("bounds", [(0.3, 0.1), (0.0, 0.2), (0.1, 5.0), (0.1, math.nan)])
@@ -70,5 +73,8 @@ def test_a_normal_likelihood_tells_what_a_normal_push_does():
     belief = Belief.normal(0.141, 0.04, 0.015, 0.002)
     log = np.linspace(math.log(0.05), math.log(0.4), 4000)
     likelihood = np.exp(-0.5 * ((log - math.log(0.15)) / 0.02) ** 2)
-    told, seen = belief.told(log, likelihood), belief.seen(0.15, 0.02)
+    told, seen = (
+        belief.update_with_likelihood(log, likelihood),
+        belief.update_with_value(0.15, 0.02),
+    )
     np.testing.assert_allclose(told.mean, seen.mean, rtol=2e-3)

@@ -10,9 +10,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from difffric import RungeKutta, extended, observe, simulate, spring_damper_rig
-from difffric.centering.landing import pushed, stroke_to
-from difffric.rig import parameters
+from difffric import observe, simulate, spring_damper_rig
+from difffric.centering.landing import find_landings, find_strokes
+from difffric.rig import extended, parameters
+from difffric.simulation import RungeKutta
 from difffric.units import from_mm_min, from_um
 from tests.reference import traces
 
@@ -55,7 +56,7 @@ def test_displacement_is_the_independent_one(v, stroke, mu_s, contact):
     k, b, ratio, k_v = contact
     rig = spring_damper_rig(mass=18.9, mu_s=mu_s, mu_k_over_mu_s=ratio, k_v=k_v, k=k, b=b)
     expected = reference(v, stroke, mu_s, k, b, ratio, k_v)
-    found = pushed(rig, v, stroke, mu_s)
+    found = find_landings(rig, v, stroke, mu_s)
     if expected is None:
         assert np.isnan(found.displacement[0])
         return
@@ -79,7 +80,7 @@ def test_displacement_is_where_the_trajectory_ends(v, stroke, mu_s):
 @settings(max_examples=60, deadline=None)
 @given(v=speeds, stroke=strokes, further=st.floats(1.0, 1.5), mu_s=frictions)
 def test_a_longer_stroke_never_brings_the_part_less_far(v, stroke, further, mu_s):
-    near, far = pushed(RIG, v, [stroke, stroke * further], mu_s).displacement
+    near, far = find_landings(RIG, v, [stroke, stroke * further], mu_s).displacement
     assert far >= near - 1e-15
 
 
@@ -88,7 +89,7 @@ def test_a_longer_stroke_never_brings_the_part_less_far(v, stroke, further, mu_s
 def test_the_stroke_to_a_target_ends_there(v, target, mu_s):
     """By the tests' own code, which does not know how the stroke was found. Where there is none,
     the part breaks away with a jump, and the target lies within it."""
-    stroke = float(stroke_to(RIG, v, target, mu_s, target + 1e-3, by=BY).stroke[0])
+    stroke = float(find_strokes(RIG, v, target, mu_s, target + 1e-3, by=BY).stroke[0])
 
     def x(stroke):
         return reference(v, stroke, mu_s)[0]
@@ -111,7 +112,7 @@ def test_derivatives_are_the_independent_ones():
     smooth = 0
     for _ in range(40):
         v, target = from_mm_min(random.uniform(500, 5000)), from_um(random.uniform(5, 3000))
-        found = stroke_to(RIG, v, target, 0.141, target + 1e-3, by=BY)
+        found = find_strokes(RIG, v, target, 0.141, target + 1e-3, by=BY)
         S = float(found.stroke[0])
         slopes = [float(found.by_stroke[0]), *(float(found.by[name][0]) for name in BY)]
         for name, ours in zip(("stroke", *names), slopes, strict=True):
@@ -130,7 +131,7 @@ def test_derivatives_are_the_independent_ones():
 
 
 def test_a_target_beyond_the_longest_stroke_has_none():
-    assert np.isnan(stroke_to(RIG, 0.05, 1.0, 0.141, 1e-3, by=BY).stroke[0])
+    assert np.isnan(find_strokes(RIG, 0.05, 1.0, 0.141, 1e-3, by=BY).stroke[0])
 
 
 def test_both_ways_to_integrate_agree():
@@ -143,14 +144,14 @@ def test_both_ways_to_integrate_agree():
 
 def test_an_effect_at_its_null_lands_where_the_plain_rig_does():
     rig = extended(RIG, {"contact_hardening": {}})
-    plain, same = (pushed(r, 0.03, [2e-4, 1e-3], 0.141).displacement for r in (RIG, rig))
+    plain, same = (find_landings(r, 0.03, [2e-4, 1e-3], 0.141).displacement for r in (RIG, rig))
     np.testing.assert_allclose(same, plain, rtol=1e-8)
 
 
 def test_the_probe_does_not_move_the_part():
     """The displacement is the rig's: what the probe reads of it is another thing."""
     rig = extended(RIG, {"probe_scale": {"factor": 1.1}})
-    plain, same = (pushed(r, 0.03, 1e-3, 0.141).displacement for r in (RIG, rig))
+    plain, same = (find_landings(r, 0.03, 1e-3, 0.141).displacement for r in (RIG, rig))
     np.testing.assert_allclose(same, plain, rtol=1e-8)
 
 

@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from difffric import Belief, Known, centre, extended, spring_damper_rig
-from difffric.centering.loop import identified
-from difffric.centering.machine import Readings, SimulatedMachine
+from difffric import centre, spring_damper_rig
+from difffric.centering import Belief, Known
+from difffric.centering.loop import identify_push
+from difffric.centering.machine import PushReadings, SimulatedMachine
 from difffric.centering.planning import WITHIN
 from difffric.commands.reports.centre import calibration, centre_answer
-from difffric.studies.centering_runs import OURS, hidden_rings, runs
+from difffric.rig import extended
+from difffric.studies.centering_runs import OURS, draw_rings, run_rings
 from difffric.studies.other_centering import NOMINAL, RIVALS, SLOWEST, SURROGATES
 from difffric.units import from_um
 from tests.unit.centering.reference_machine import ReferenceMachine
@@ -26,7 +28,7 @@ KNOWN = Known(RIG, Belief.uniform(0.08, 0.25, 0.015))
 def independent():
     """(machine, centering) of forty rings before the tests' own pushes."""
     out = []
-    for ring in hidden_rings(40, seed=11):
+    for ring in draw_rings(40, seed=11):
         random = np.random.default_rng(ring.seed)
         machine = ReferenceMachine(LAWS, ring.offset, random, mean=ring.mu_s)
         out.append((machine, centre(machine, KNOWN)))
@@ -71,7 +73,7 @@ def test_a_push_tells_its_own_mu_s(mu_s, stroke_um):
         random = np.random.default_rng(seed)
         machine = ReferenceMachine(LAWS, [1e-2, 0.0], random, mean=mu_s, scatter=0.0)
         read = machine.push(0.05, from_um(stroke_um), 0.0)
-        found = identified(KNOWN, 0.05, from_um(stroke_um), read)
+        found = identify_push(KNOWN, 0.05, from_um(stroke_um), read)
         if found.mu_s is not None:
             off.append(np.log(found.mu_s / mu_s) / found.error)
     assert len(off) > 6 and np.sqrt(np.mean(np.square(off))) < 1.7
@@ -79,10 +81,10 @@ def test_a_push_tells_its_own_mu_s(mu_s, stroke_um):
 
 def test_readings_that_say_nothing_change_nothing():
     nan = float("nan")
-    blind = Readings(nan, 0.5, nan, 3e-7, nan, 4e-7, 0.1)
-    told = identified(KNOWN, 0.05, 3e-4, blind)
+    blind = PushReadings(nan, 0.5, nan, 3e-7, nan, 4e-7, 0.1)
+    told = identify_push(KNOWN, 0.05, 3e-4, blind)
     assert told.mu_s is None and (told.likelihood == 1).all()
-    after = KNOWN.mu_s.told(told.log_mu_s, told.likelihood)
+    after = KNOWN.mu_s.update_with_likelihood(told.log_mu_s, told.likelihood)
     np.testing.assert_allclose(after.weight, KNOWN.mu_s.weight, atol=1e-9)
 
 
@@ -92,15 +94,15 @@ def test_a_part_that_did_not_move_tells_that_friction_is_not_small():
     machine = ReferenceMachine(LAWS, [1e-2, 0.0], np.random.default_rng(0), mean=0.22, scatter=0.0)
     read = machine.push(velocity, stroke, 0.0)
     assert abs(read.displacement) < 2e-6
-    told = identified(KNOWN, velocity, stroke, read)
-    after = KNOWN.mu_s.told(told.log_mu_s, told.likelihood)
+    told = identify_push(KNOWN, velocity, stroke, read)
+    after = KNOWN.mu_s.update_with_likelihood(told.log_mu_s, told.likelihood)
     least = after.quantiles(np.array([0.01]))[0]
     assert 0.09 < least < 0.22 and after.quantiles(np.array([0.99]))[0] > 0.24
 
 
 def test_faster_than_the_other_ways():
     """Without shared code the paired study is studies/centering.py, with 500 rings."""
-    found = list(runs(KNOWN, hidden_rings(12, seed=4), ways=(OURS, SURROGATES, NOMINAL, SLOWEST)))
+    found = list(run_rings(KNOWN, draw_rings(12, seed=4), ways=(OURS, SURROGATES, NOMINAL, SLOWEST)))
     ways = centre_answer(found, KNOWN, 4)["ways"]
     assert ways[OURS]["centred"] == 1.0
     for way in (NOMINAL, SLOWEST):
@@ -109,7 +111,7 @@ def test_faster_than_the_other_ways():
 
 
 def test_every_way_meets_the_same_ring():
-    found = list(runs(KNOWN, hidden_rings(1, seed=2)))
+    found = list(run_rings(KNOWN, draw_rings(1, seed=2)))
     assert [r.way for r in found] == [OURS, *RIVALS]
     starts = np.array([r.path[0] for r in found])
     assert (starts == starts[0]).all()
@@ -118,8 +120,8 @@ def test_every_way_meets_the_same_ring():
 def test_a_hidden_effect_and_drift_do_not_keep_a_ring_from_its_target():
     truth = extended(RIG, {"tilt": {"alpha_rad": 2e-3}})
     known = replace(KNOWN, mu_s=Belief.uniform(0.08, 0.25, 0.015, drift=0.005))
-    found = list(runs(known, hidden_rings(4, 3), truth=truth, ways=(OURS,), drift=0.005))
-    assert all(r.centred(WITHIN) for r in found)
+    found = list(run_rings(known, draw_rings(4, 3), truth=truth, ways=(OURS,), drift=0.005))
+    assert all(r.is_centred(WITHIN) for r in found)
 
 
 def test_verifying_measures_at_the_end():

@@ -10,8 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from difffric import Belief, InputError, Known, plan, spring_damper_rig
-from difffric.centering.planning import _SHARES, WITHIN, landed, options, speeds_between
+from difffric import InputError, plan, spring_damper_rig
+from difffric.centering import Belief, Known
+from difffric.centering.planning import (
+    _SHARES,
+    WITHIN,
+    find_options,
+    find_probability,
+    space_speeds,
+)
 from difffric.rig import parameters
 from difffric.rig.setup import Extras, Setup
 from difffric.units import from_mm_min, from_um
@@ -108,7 +115,7 @@ def test_several_pushes_land_as_often_as_is_said():
         first = mean * math.exp(SCATTER * random.standard_normal())
         left = from_um(100.0) - displaced(found.next, first)
         if abs(left) > WITHIN:
-            told = replace(known, mu_s=known.mu_s.seen(first, 0.005))
+            told = replace(known, mu_s=known.mu_s.update_with_value(first, 0.005))
             second = plan(told, abs(left), from_um(0.1)).next
             own = mean * math.exp(SCATTER * random.standard_normal())
             left = abs(left) - displaced(second, own)
@@ -118,7 +125,7 @@ def test_several_pushes_land_as_often_as_is_said():
 
 def test_what_limits_a_push_is_named():
     exact = Belief.normal(0.141, 0.0, 0.0)
-    known = replace(KNOWN, mu_s=exact, speeds=speeds_between(0.05, 0.05))
+    known = replace(KNOWN, mu_s=exact, speeds=space_speeds(0.05, 0.05))
     assert plan(known, from_um(300.0), from_um(2.0)).next.limited_by == "offset"
     assert plan(replace(known, mu_s=ONE_PUSH), from_um(300.0)).next.limited_by == "mu_s"
     unsure = replace(known, errors=SURE | {"b_N_s_per_m": 300.0})
@@ -138,10 +145,12 @@ def test_a_set_up_says_what_is_known():
 
 def test_an_extended_rig_is_planned_with_as_it_is():
     """Hertz's contact: its displacement by the library's other integrator is the target."""
-    from difffric import RungeKutta, extended, simulate
+    from difffric import simulate
+    from difffric.rig import extended
+    from difffric.simulation import RungeKutta
 
     rig = extended(RIG, {"contact_hardening": {"exponent": 1.2}})
-    step = plan(Known(rig, ONE_PUSH, speeds=speeds_between(0.02, 0.02)), from_um(200.0)).next
+    step = plan(Known(rig, ONE_PUSH, speeds=space_speeds(0.02, 0.02)), from_um(200.0)).next
     seen = simulate(rig, step.velocity, stroke=step.stroke, integrator=RungeKutta()).observables
     plain = simulate(RIG, step.velocity, stroke=step.stroke).observables
     assert abs(float(seen.displacement) - from_um(200.0)) < WITHIN
@@ -160,7 +169,9 @@ def test_the_probability_of_a_landing_is_its_integral(a, b, sigma, curve):
     share = (np.arange(200_000) + 0.5) / 200_000
     x = np.interp(share, _SHARES, landing) + sigma * random.standard_normal(200_000)
     seen = np.mean(np.abs(x) <= WITHIN)
-    assert float(landed(landing, np.array(sigma), WITHIN)) == pytest.approx(seen, abs=6e-3)
+    assert float(find_probability(landing, np.array(sigma), WITHIN)) == pytest.approx(
+        seen, abs=6e-3
+    )
 
 
 @pytest.mark.parametrize(
@@ -179,9 +190,7 @@ def test_a_target_out_of_reach_is_one_clear_line(target, words):
 def test_a_jump_that_no_push_can_make_smaller_is_one_clear_line():
     """At 500 mm/min a part with mu_s = 0.375 breaks away by more than 7 um."""
     rig = parameters.with_values(RIG, {"mu_s": 0.375})
-    known = Known(
-        rig, Belief.normal(0.375, 0.0, 0.0), speeds=speeds_between(*[from_mm_min(500)] * 2)
-    )
+    known = Known(rig, Belief.normal(0.375, 0.0, 0.0), speeds=space_speeds(*[from_mm_min(500)] * 2))
     with pytest.raises(
         InputError, match="500 and 500 mm/min no push that can be followed ends 7 um"
     ):
@@ -190,12 +199,12 @@ def test_a_jump_that_no_push_can_make_smaller_is_one_clear_line():
 
 def test_an_empty_range_of_speeds_is_one_clear_line():
     with pytest.raises(InputError, match="expected 0 < lowest <= highest, got 3000 to 600 mm/min"):
-        speeds_between(0.05, 0.01)
+        space_speeds(0.05, 0.01)
 
 
 def test_targets_at_once_are_those_one_by_one():
     known = KNOWN
-    both = options(known, np.array([3e-5, 7e-4]), 1e-7)
-    one = options(known, np.array([7e-4]), 1e-7)
+    both = find_options(known, np.array([3e-5, 7e-4]), 1e-7)
+    one = find_options(known, np.array([7e-4]), 1e-7)
     np.testing.assert_allclose(both.stroke[1], one.stroke[0], rtol=1e-9)
     np.testing.assert_allclose(both.probability[1], one.probability[0], atol=1e-6)

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from difffric.acquisition.hardware_check import Hardware
 from difffric.acquisition.push import Acquired, Command
-from difffric.commands.figures.acquire import envelope, strokes
+from difffric.commands.figures.acquire import draw_strokes, find_envelope
 from difffric.commands.live_view import LivePlot, LiveView
 from difffric.identification.estimates import NONE, Estimate, PushFriction
 from difffric.identification.live import LivePush, contradictions
@@ -80,11 +80,11 @@ def test_the_live_figure_is_written_anew_after_each_push(tmp_path):
 
 
 def test_two_strokes_stand_one_after_the_other():
-    figure = strokes([recording(), recording("push_0002")])
+    figure = draw_strokes([recording(), recording("push_0002")])
     lines = [line for line in figure.axes[0].lines if len(line.get_xdata()) > 2]
     ends = [(float(np.min(x)), float(np.max(x))) for x in (line.get_xdata() for line in lines)]
     assert len(ends) == 2 and ends[0][1] <= ends[1][0] and ends[1][1] == pytest.approx(399.9)
-    _, drawn = envelope(recording(n=1_000_000).force)
+    _, drawn = find_envelope(recording(n=1_000_000).force)
     assert len(drawn) <= 8000 and drawn.max() == pytest.approx(143.0, rel=1e-6)
 
 

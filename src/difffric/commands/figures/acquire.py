@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from difffric.commands.figures.style import STYLE, new_figure
+from difffric.commands.figures.style import STYLE, make_figure
 from difffric.identification.live import LivePush
 from difffric.measurements.recordings import Channel, Recording
 from difffric.number_text import format_number
@@ -19,7 +19,7 @@ _BLUE, _RED = "#1f6f8b", "#b4532a"
 _COLUMNS = 2000  # of a drawn trace: more are not seen
 
 
-def envelope(channel: Channel) -> tuple[NDArray, NDArray]:
+def find_envelope(channel: Channel) -> tuple[NDArray, NDArray]:
     """(times [s], samples) that draw a channel as all of its samples would: the least and the
     largest of each piece."""
     size = max(channel.n // _COLUMNS, 1)
@@ -31,15 +31,15 @@ def envelope(channel: Channel) -> tuple[NDArray, NDArray]:
     return np.repeat(t, 2), both
 
 
-def strokes(recordings: Sequence[Recording]) -> Figure:
+def draw_strokes(recordings: Sequence[Recording]) -> Figure:
     """Force over time of successive strokes on one axis; the time between two recordings, in
     which nothing is recorded, is left out."""
-    figure, ax = new_figure(width=7.2, height=3.4)
+    figure, ax = make_figure(width=7.2, height=3.4)
     begin = 0.0
     with matplotlib.rc_context(STYLE):
         for i, push in enumerate(recordings):
             assert push.force is not None
-            t, force = envelope(push.force)
+            t, force = find_envelope(push.force)
             t = t - push.force.start + begin
             speed = f"{to_mm_min(push.velocity):g} mm/min"
             label = f"{push.name}, {speed}: at most {format_number(float(force.max()), 4)} "
@@ -61,7 +61,7 @@ def draw_live(figure: Figure, pushes: Sequence[LivePush | None], last: Recording
     with matplotlib.rc_context(STYLE):
         left, right = figure.subplots(1, 2)
         assert last.force is not None
-        t, force = envelope(last.force)
+        t, force = find_envelope(last.force)
         left.plot(1e3 * t, force, color=_BLUE, lw=0.8)
         left.set(xlabel="time [ms]", ylabel=f"force [{last.force.unit}]")
         left.set_title(f"{last.name}, {to_mm_min(last.velocity):g} mm/min", loc="left")

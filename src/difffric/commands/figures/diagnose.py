@@ -6,7 +6,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from difffric.commands.figures.style import STYLE, new_figure
+from difffric.commands.figures.style import STYLE, make_figure
 from difffric.diagnosis.location import Location
 from difffric.diagnosis.misfit import Misfit
 from difffric.diagnosis.verdict import Diagnosis
@@ -15,7 +15,7 @@ from difffric.units import to_mm_min
 _BEFORE, _AFTER = "#c0392b", "#2c6fbb"
 
 
-def misfit(found: Diagnosis) -> Figure:
+def draw_misfit(found: Diagnosis) -> Figure:
     """Chi-square per number of each push, force and position, before and after."""
     data = found.state.data
     counts = np.maximum(data.task.counts, 1)
@@ -23,7 +23,7 @@ def misfit(found: Diagnosis) -> Figure:
     order = np.argsort(v, kind="stable")
     x = np.arange(len(v))
     with matplotlib.rc_context(STYLE):
-        figure, axes = new_figure(2, 9.6, 3.8, sharey=True)
+        figure, axes = make_figure(2, 9.6, 3.8, sharey=True)
         names = ("force", "position" if found.used_recordings else "sliding distance")
         for k, (ax, name) in enumerate(zip(axes, names, strict=True)):
             for chi2, colour, label, shift in (
@@ -48,7 +48,7 @@ def misfit(found: Diagnosis) -> Figure:
 _SCALE = {"m/s": (to_mm_min(1.0), "mm/min"), "m": (1e3, "mm"), "s": (1e3, "ms"), "": (1.0, "")}
 
 
-def where(found: Diagnosis) -> Figure:
+def draw_where(found: Diagnosis) -> Figure:
     """The misfit by phase and over what changes during a push and between pushes, before and
     after."""
     channels = list(dict.fromkeys(one.channel for one in found.misfit))
@@ -56,7 +56,7 @@ def where(found: Diagnosis) -> Figure:
     with matplotlib.rc_context(STYLE):
         rows, width = len(channels), 2.2 * len(columns)
         options = {"rows": rows, "sharey": "row", "squeeze": False}
-        figure, axes = new_figure(len(columns), width, 2.4 * rows, **options)
+        figure, axes = make_figure(len(columns), width, 2.4 * rows, **options)
         for ax in axes.flat:
             ax.set_visible(False)
         for one in found.misfit:
@@ -88,12 +88,12 @@ def _one(ax, one: Misfit, causes: bool) -> None:
         ax.set_xlabel(f"[{unit}]")
 
 
-def residuals(found: Diagnosis, shown: int = 3) -> Figure:
+def draw_residuals(found: Diagnosis, shown: int = 3) -> Figure:
     """Whitened residuals over time of the pushes that fit worst, before and after."""
     state, task = found.state, found.state.data.task
     worst = np.argsort(-state.lack_before.chi2.sum(axis=1) / task.counts.sum(axis=1))[:shown]
     with matplotlib.rc_context(STYLE):
-        figure, axes = new_figure(len(worst), 3.4 * len(worst), 4.6, rows=2, squeeze=False)
+        figure, axes = make_figure(len(worst), 3.4 * len(worst), 4.6, rows=2, squeeze=False)
         for column, i in enumerate(worst):
             for k, blocks in enumerate(task.model.pushes.data):
                 ax, there = axes[k, column], blocks.a[i] > 0
@@ -113,10 +113,10 @@ def residuals(found: Diagnosis, shown: int = 3) -> Figure:
     return figure
 
 
-def location(found: Location) -> Figure:
+def draw_location(found: Location) -> Figure:
     """What each free form explains, and the best one's curve with its band."""
     with matplotlib.rc_context(STYLE):
-        figure, axes = new_figure(2, 9.6, 3.6)
+        figure, axes = make_figure(2, 9.6, 3.6)
         names = sorted(found.explained, key=lambda name: found.explained[name])
         colours = [_AFTER if name == found.form else "0.7" for name in names]
         shares = [100 * found.explained[name] for name in names]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from difffric.calibration.data_comparison import PushComparison, TraceComparison, simulate_condition
 from difffric.calibration.profiles import Profile
 from difffric.calibration.result import Fit
-from difffric.commands.figures.style import MARKERS, STYLE, colours_of, new_figure
+from difffric.commands.figures.style import MARKERS, STYLE, choose_colours, make_figure
 from difffric.identification.estimates import WAYS, Identified
 from difffric.units import to_mm_min, to_um
 
@@ -29,14 +29,14 @@ _TITLES = {
 
 def _groups(conditions: Sequence[str]) -> list[tuple[str, NDArray, str, str]]:
     """(condition, mask, colour, marker), an entry a condition."""
-    colours = colours_of(conditions)
+    colours = choose_colours(conditions)
     return [
         (c, np.array([x == c for x in conditions]), colour, MARKERS[i % len(MARKERS)])
         for i, (c, colour) in enumerate(colours.items())
     ]
 
 
-def pushes(fit: Fit, beside: PushComparison) -> Figure:
+def draw_pushes(fit: Fit, beside: PushComparison) -> Figure:
     """F_p and d over speed, measured and fitted, and what is left over."""
     v = to_mm_min(beside.velocity)
     labels = ("peak push force $F_p$ [N]", "sliding distance d [µm]")
@@ -45,7 +45,7 @@ def pushes(fit: Fit, beside: PushComparison) -> Figure:
     speeds = np.linspace(beside.velocity.min(), beside.velocity.max(), 400)
     slides = fit.kind == "slides"
     with matplotlib.rc_context(STYLE):
-        figure, axes = new_figure(
+        figure, axes = make_figure(
             len(panels), 5.2 * len(panels), 5.6, rows=2, sharex="col", squeeze=False,
             height_ratios=(3, 1.3),
         )  # fmt: skip
@@ -89,10 +89,10 @@ def pushes(fit: Fit, beside: PushComparison) -> Figure:
     return figure
 
 
-def own_friction(fit: Fit, order: NDArray) -> Figure:
+def draw_own_friction(fit: Fit, order: NDArray) -> Figure:
     """Each push's own mu_s over the order of the pushes, with the scatter about the means."""
     with matplotlib.rc_context(STYLE):
-        figure, ax = new_figure(width=7.6, height=3.8)
+        figure, ax = make_figure(width=7.6, height=3.8)
         for condition, mine, colour, marker in _groups(fit.conditions):
             label = f"mu_s[{condition}]" if f"mu_s[{condition}]" in fit.free else "mu_s"
             if label in fit.free:
@@ -117,14 +117,14 @@ def _scatter_band(ax, x, mean, scatter, colour) -> None:
     )
 
 
-def traces(shown: Mapping[str, Mapping[str, TraceComparison]]) -> Figure:
+def draw_traces(shown: Mapping[str, Mapping[str, TraceComparison]]) -> Figure:
     """Force and position over time, measured and fitted, with the whitened residuals below;
     a column a push."""
     kinds = [k for k in ("force", "position") if any(k in x for x in shown.values())]
     labels = {"force": "force [N]", "position": "position [µm]"}
     scale = {"force": 1.0, "position": to_um(1.0)}
     with matplotlib.rc_context(STYLE):
-        figure, axes = new_figure(
+        figure, axes = make_figure(
             len(shown), 3.3 * len(shown) + 0.6, 3.5 * len(kinds), rows=2 * len(kinds),
             squeeze=False, height_ratios=(2.6, 1.2) * len(kinds),
         )  # fmt: skip
@@ -168,11 +168,11 @@ def _trace(top, bottom, trace: TraceComparison, scale: float, force: bool) -> No
     top.tick_params(labelbottom=False)
 
 
-def correlations(fit: Fit) -> Figure:
+def draw_correlations(fit: Fit) -> Figure:
     """The correlations of the free parameters."""
     n = len(fit.free)
     with matplotlib.rc_context(STYLE):
-        figure, ax = new_figure(width=2.4 + 0.75 * n, height=1.4 + 0.62 * n)
+        figure, ax = make_figure(width=2.4 + 0.75 * n, height=1.4 + 0.62 * n)
         correlation = fit.correlation
         ax.grid(False)
         shown = ax.imshow(correlation, cmap="RdBu_r", vmin=-1, vmax=1)
@@ -206,12 +206,12 @@ def _symbol(label: str) -> str:
     return _SYMBOLS.get(name, name) + (f"\n{condition[:-1]}" if condition else "")
 
 
-def profiles(fit: Fit, found: Mapping[str, Profile]) -> Figure:
+def draw_profiles(fit: Fit, found: Mapping[str, Profile]) -> Figure:
     """How far chi-square rises with each parameter, beside the parabola of its standard error."""
     columns = min(len(found), 3)
     rows = -(-len(found) // columns)
     with matplotlib.rc_context(STYLE):
-        figure, axes = new_figure(columns, 3.6 * columns, 3.1 * rows, rows=rows, squeeze=False)
+        figure, axes = make_figure(columns, 3.6 * columns, 3.1 * rows, rows=rows, squeeze=False)
         for ax, (label, one) in zip(axes.flat, found.items(), strict=False):
             _profile(ax, one, fit.standard_error(label))
             name, _, condition = label.partition("[")
@@ -255,7 +255,7 @@ def _profile(ax, one: Profile, sigma: float | None) -> None:
     ax.locator_params(axis="x", nbins=4)
 
 
-def identified(found: Identified, velocity: NDArray) -> Figure:
+def draw_identified(found: Identified, velocity: NDArray) -> Figure:
     """mu_s of each push over its speed [m/s], a panel for each way to it."""
     ways = [way for way in WAYS if np.isfinite(found.values(way)).any()] or ["mu_s_optimal"]
     v = to_mm_min(velocity)
@@ -263,7 +263,7 @@ def identified(found: Identified, velocity: NDArray) -> Figure:
     with matplotlib.rc_context(STYLE):
         columns = 2 if len(ways) == 4 else min(len(ways), 3)
         rows = -(-len(ways) // columns)
-        figure, axes = new_figure(
+        figure, axes = make_figure(
             columns, 3.5 * columns + 0.6, 3.0 * rows, rows=rows, squeeze=False, sharey=True,
             sharex=True,
         )  # fmt: skip
@@ -297,10 +297,10 @@ def identified(found: Identified, velocity: NDArray) -> Figure:
     return figure
 
 
-def best_estimates(found: Identified, order: NDArray, summary: Mapping[str, Any]) -> Figure:
+def draw_best_estimates(found: Identified, order: NDArray, summary: Mapping[str, Any]) -> Figure:
     """The best mu_s of each push over the order of the pushes, with each condition's mean."""
     with matplotlib.rc_context(STYLE):
-        figure, ax = new_figure(width=7.6, height=3.8)
+        figure, ax = make_figure(width=7.6, height=3.8)
         conditions = [p.condition for p in found]
         value = np.array([np.nan if p.best.value is None else p.best.value for p in found])
         error = np.array([p.best.standard_error or 0.0 for p in found])

@@ -10,19 +10,19 @@ import numpy as np
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
 from matplotlib.figure import Figure
 
-from difffric.commands.figures.style import STYLE, new_figure
+from difffric.commands.figures.style import STYLE, make_figure
 
 MOST = 12
 """Rigs that have a line and a name of their own; of more, the rest is drawn in grey."""
 
 
-def by_date(days: Mapping[str, Sequence[Mapping]]) -> Figure:
+def draw_by_date(days: Mapping[str, Sequence[Mapping]]) -> Figure:
     """Rig -> its days (`date`, `mu_s_mean`, `spread`): the mean of each day, bars of one standard
     deviation between its pushes."""
     ranked = sorted(days, key=lambda rig: -len(days[rig]))
     named = set(ranked[:MOST])
     with matplotlib.rc_context(STYLE):
-        figure, ax = new_figure(width=8.6, height=4.6)
+        figure, ax = make_figure(width=8.6, height=4.6)
         colours = iter(matplotlib.colormaps["tab20"].colors)  # type: ignore[attr-defined]
         for rig, rows in days.items():
             at = date2num([date.fromisoformat(row["date"]) for row in rows])

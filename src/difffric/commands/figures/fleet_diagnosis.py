@@ -21,7 +21,7 @@ _RED, _GREY = "#b4532a", "#d9d9d9"
 _EVIDENCE = LinearSegmentedColormap.from_list("evidence", ["#ffffff", "#9cc3dc", "#1f5f8b"])
 
 
-def matrix(
+def draw_matrix(
     rows: Sequence[Row], rigs: Sequence[str], words: Mapping[str, str], odd: Collection[str]
 ) -> Figure:
     """Effects (columns) over rigs, the evidence of all together on top. `words`: of a rig without

@@ -8,7 +8,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from difffric.commands.figures.style import MARKERS, STYLE, colours_of, new_figure
+from difffric.commands.figures.style import MARKERS, STYLE, choose_colours, make_figure
 from difffric.monitoring.monitor import Monitor
 from difffric.monitoring.records import PushRecord
 from difffric.monitoring.shiryaev_roberts import DIRECTIONS
@@ -22,13 +22,13 @@ _WORDS = {
 }
 
 
-def charts(monitor: Monitor) -> Figure:
+def draw_charts(monitor: Monitor) -> Figure:
     """mu_s of each push and the state's band of two standard errors; what mu_s cannot explain;
     the evidence, in units of its threshold."""
     pushes = monitor.kept
     n = np.array([x.number for x in pushes])
     with matplotlib.rc_context(STYLE):
-        figure, axes = new_figure(
+        figure, axes = make_figure(
             rows=3, width=8.6, height=8.2, sharex=True, height_ratios=(3, 1.6, 2)
         )
         _friction(axes[0], pushes)
@@ -62,7 +62,7 @@ def _parts(pushes: Sequence[PushRecord]) -> dict[str, list[PushRecord]]:
 
 def _friction(ax, pushes: Sequence[PushRecord]) -> None:
     parts = _parts(pushes)
-    colours = colours_of(list(parts))
+    colours = choose_colours(list(parts))
     for marker, (name, mine) in zip(MARKERS * len(parts), parts.items(), strict=False):
         n = np.array([x.number for x in mine])
         colour = colours[name]

@@ -8,11 +8,11 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from difffric.commands.figures.style import COLOURS, STYLE, new_figure
+from difffric.commands.figures.style import COLOURS, STYLE, make_figure
 from difffric.identification.surrogates import PUBLISHED_DISTANCE, PUBLISHED_FORCE
 from difffric.simulation.families import Family
 from difffric.simulation.trajectory import Trajectory
-from difffric.studies.paper import CONDITIONS, Paper, bound_on
+from difffric.studies.paper import CONDITIONS, Paper, bound_distance
 from difffric.units import to_mm, to_mm_min, to_um
 
 _MARKERS = {"DRY": "o", "OILY": "s"}
@@ -21,7 +21,7 @@ _MARKERS = {"DRY": "o", "OILY": "s"}
 def draw_response(trajectories: Mapping[str, Trajectory], what: str) -> Figure:
     """Position (Figure II.3) or contact force (Figure II.4) over time; `what` says which."""
     with matplotlib.rc_context(STYLE):
-        figure, ax = new_figure()
+        figure, ax = make_figure()
         for style, (label, trajectory) in zip(("-", "--"), trajectories.items(), strict=False):
             end = float(trajectory.stop_time)
             t = np.linspace(0, end, 4000)
@@ -48,7 +48,7 @@ def draw_families(family: Family, what: str, measured: Paper | None = None) -> F
     """F_p (Figure II.5) or d (Figure II.6) over speed, one curve a mu_s; dashed, the published
     surrogate (3) or (5)."""
     with matplotlib.rc_context(STYLE):
-        figure, ax = new_figure()
+        figure, ax = make_figure()
         shown = np.unique(np.linspace(0, len(family.mu_s) - 1, 6).round().astype(int))
         v = to_mm_min(family.velocity)
         force = what == "force"
@@ -101,9 +101,9 @@ def draw_residuals(paper: Paper) -> Figure:
             "d measured − model [µm]",
         ),
     )
-    impossible = p.sliding_distance > bound_on(p)
+    impossible = p.sliding_distance > bound_distance(p)
     with matplotlib.rc_context(STYLE):
-        figure, axes = new_figure(2, width=9.6)
+        figure, axes = make_figure(2, width=9.6)
         for ax, (residual, spread, label) in zip(axes, panels, strict=True):
             ax.axhspan(-spread, spread, color="#999", alpha=0.2, lw=0, label="estimated spread")
             ax.axhline(0, color="#333", lw=0.8)
@@ -126,7 +126,7 @@ def draw_residuals(paper: Paper) -> Figure:
 
 def draw_identified(paper: Paper) -> Figure:
     """mu_s of every push by four ways, each speed judged by a calibration without it."""
-    rows, combined = paper.rows(), paper.weighted()
+    rows, combined = paper.list_rows(), paper.list_weighted()
     panels = (
         ("from the force", [r for r in rows if r["quantity"] == "peak_force_N"], "mu_s_model"),
         ("from the distance", [r for r in rows if r["quantity"] != "peak_force_N"], "mu_s_model"),
@@ -134,7 +134,7 @@ def draw_identified(paper: Paper) -> Figure:
         ("optimal", combined, "mu_s_optimal"),
     )
     with matplotlib.rc_context(STYLE):
-        figure, axes = new_figure(4, width=12.0, height=3.6, sharey=True)
+        figure, axes = make_figure(4, width=12.0, height=3.6, sharey=True)
         for ax, (title, of, key) in zip(axes, panels, strict=True):
             for shift, condition in zip((-60, 60), CONDITIONS, strict=True):
                 mine = [r for r in of if r["condition"] == condition]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from difffric.centering.loop import Centering
 from difffric.centering.planning import Known, Plan
-from difffric.commands.figures.style import new_figure
+from difffric.commands.figures.style import make_figure
 from difffric.units import to_mm_min, to_um
 
 if TYPE_CHECKING:
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 _BLUE, _RED, _GREY = "#1f6f8b", "#b4532a", "0.55"
 
 
-def speeds(found: Plan, known: Known) -> Figure:
+def draw_speeds(found: Plan, known: Known) -> Figure:
     """What the push to the target would be at each speed."""
     first, step = found.options, found.next
     v = to_mm_min(first.velocity)
-    figure, (top, middle, bottom) = new_figure(rows=3, width=7.6, height=6.0, sharex=True)
+    figure, (top, middle, bottom) = make_figure(rows=3, width=7.6, height=6.0, sharex=True)
     top.plot(v, first.probability[0], "o-", color=_BLUE)
     top.axhline(0.99, color=_GREY, ls=":", lw=1)
     top.set_ylabel(f"probability of landing\nwithin {to_um(known.within):g} µm")
@@ -57,10 +57,10 @@ def _middle(landing):
     return np.abs(landing[..., n - 1 - k] - landing[..., k]) / 2.26
 
 
-def run(centering: Centering, known: Known, truth: NDArray) -> Figure:
+def draw_run(centering: Centering, known: Known, truth: NDArray) -> Figure:
     """One centred ring as a strip: how far it was off after each push, as it was known and in
     `truth` (pushes + 1, 2) [m], where each push was expected to land, what was known of mu_s."""
-    figure, (left, right) = new_figure(columns=2, width=8.4, height=3.8, width_ratios=(2, 1))
+    figure, (left, right) = make_figure(columns=2, width=8.4, height=3.8, width_ratios=(2, 1))
     pushes, n = centering.pushes, len(centering.pushes)
     within = to_um(known.within)
     first = pushes[0].before if n else centering.offset
@@ -99,9 +99,9 @@ def run(centering: Centering, known: Known, truth: NDArray) -> Figure:
     return figure
 
 
-def times(ways: Mapping[str, Sequence[float]]) -> Figure:
+def draw_times(ways: Mapping[str, Sequence[float]]) -> Figure:
     """How long each way took to centre the rings [s]; infinite where it did not."""
-    figure, ax = new_figure(width=7.0, height=3.6)
+    figure, ax = make_figure(width=7.0, height=3.6)
     colours = (_BLUE, _RED, "#5b7f3b", "#7a4f9a", "#b08a1e", "#555555")
     every = np.concatenate([np.asarray(t, float) for t in ways.values()])
     last = 1.05 * every[np.isfinite(every)].max(initial=1.0)

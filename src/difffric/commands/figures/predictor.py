@@ -21,7 +21,7 @@ _USE = {
 }
 
 
-def predictor_figure(exported: Exported, rig: Rig) -> Figure:
+def draw_predictor(exported: Exported, rig: Rig) -> Figure:
     """Error of mu_s from F_p and from d over speed and mu_s, and which of them is used where."""
     p, n = exported.predictor, 180 if rig.affine else 60
     box: Box = p.box

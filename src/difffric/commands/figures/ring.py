@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from difffric.centering.ring import Ring, surface
+from difffric.centering.ring import Ring, evaluate_surface
 from difffric.commands.figures.style import STYLE
 from difffric.number_text import format_pair
 from difffric.units import to_um
@@ -15,7 +15,7 @@ from difffric.units import to_um
 _BLUE, _RED, _GREY = "#1f6f8b", "#b4532a", "#777777"
 
 
-def ring_figure(angle: NDArray, radius: NDArray, ring: Ring) -> Figure:
+def draw_ring(angle: NDArray, radius: NDArray, ring: Ring) -> Figure:
     """Polar: deviation from the fitted radius, with the offset; beside it the residuals, and the
     lobes that the ring has, over the angle. `angle` [rad], `radius` [m]."""
     usable = np.isfinite(ring.residuals)
@@ -23,7 +23,7 @@ def ring_figure(angle: NDArray, radius: NDArray, ring: Ring) -> Figure:
     out[ring.outliers] = True
     good = usable & ~out
     turn = np.linspace(-np.pi, np.pi, 721)
-    fitted = to_um(surface(ring, turn) - ring.radius)
+    fitted = to_um(evaluate_surface(ring, turn) - ring.radius)
     reach = float(np.abs(fitted).max())
     base = 3 * reach
     # An outlier far off is drawn at the edge: the rest would be a dot beside it.
@@ -74,7 +74,7 @@ def ring_figure(angle: NDArray, radius: NDArray, ring: Ring) -> Figure:
 
 def _lobes(ax, degrees, good, turn, ring: Ring):
     """The form that the fit found, and the readings less all but the form."""
-    form = to_um(surface(ring, turn) - surface(ring, turn, lobes=False))
+    form = to_um(evaluate_surface(ring, turn) - evaluate_surface(ring, turn, lobes=False))
     at = np.interp(degrees, np.degrees(turn), form)
     ax.plot(degrees[good], (at + to_um(ring.residuals))[good], ".", color="#333", ms=2.5,
             label="readings less offset and radius")  # fmt: skip

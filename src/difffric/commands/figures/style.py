@@ -26,7 +26,7 @@ STYLE: Any = {
 }
 
 
-def colours_of(conditions: Sequence[str]) -> dict[str, str]:
+def choose_colours(conditions: Sequence[str]) -> dict[str, str]:
     """A colour for each condition, in order of appearance; DRY and OILY have their own."""
     names = list(dict.fromkeys(conditions))
     taken = {COLOURS[c] for c in names if c in COLOURS}
@@ -34,7 +34,7 @@ def colours_of(conditions: Sequence[str]) -> dict[str, str]:
     return {c: COLOURS[c] if c in COLOURS else next(others) for c in names}
 
 
-def new_figure(columns=1, width=6.4, height=4.0, rows=1, **options) -> tuple[Figure, Any]:
+def make_figure(columns=1, width=6.4, height=4.0, rows=1, **options) -> tuple[Figure, Any]:
     """An empty figure [inches] in the style of all, with its axes."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")

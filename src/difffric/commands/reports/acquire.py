@@ -13,6 +13,7 @@ import numpy as np
 from difffric.acquisition.card import METRES_PER_COUNT, VOLTS_PER_WORD, CardError, CardSession
 from difffric.acquisition.push import Acquired, Command
 from difffric.acquisition.recorder import acquire
+from difffric.commands import figures
 from difffric.commands.live_view import LivePlot, LiveView, notes
 from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.errors import InputError
@@ -196,8 +197,7 @@ def acquire_report(answer: dict, run: Run, pictures: bool = False) -> Report:
         for words in notes(one, found)
     ]
     wrong = sum(
-        bool(x.troubles or (y and y.problems))
-        for x, y in zip(run.acquired, run.found, strict=True)
+        bool(x.troubles or (y and y.problems)) for x, y in zip(run.acquired, run.found, strict=True)
     )
     if wrong:
         summary.append(f"Something is wrong with {wrong} of the pushes: see the notes.")
@@ -208,13 +208,11 @@ def acquire_report(answer: dict, run: Run, pictures: bool = False) -> Report:
         tables.append(Table("Notes", ("push", ""), told))
     drawn = []
     if pictures and len(run.first) == 2:
-        from difffric.commands.figures.acquire import strokes
-
         drawn.append(
             Picture(
                 "strokes",
                 "Force over two strokes in a row; dotted: time between them is left out.",
-                strokes(run.first),
+                figures.acquire.draw_strokes(run.first),
             )
         )
     return Report("Recorded pushes", summary, [Section("Pushes", (), tables, drawn)])

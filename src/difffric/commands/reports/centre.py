@@ -9,32 +9,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.centering.planning import Known
+from difffric.commands import figures
 from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.commands.reports.plan import step_answer
 from difffric.number_text import format_number
-from difffric.studies.centering_runs import OURS, Run
+from difffric.studies.centering_runs import OURS, CenteringRun, summarize_ways
 from difffric.studies.other_centering import RIVALS
 from difffric.units import to_um
 
 
-def centre_answer(found: Sequence[Run], known: Known, seed: int) -> dict:
+def centre_answer(found: Sequence[CenteringRun], known: Known, seed: int) -> dict:
     """All runs, as `difffric centre` writes them."""
     return {
         "within_m": known.within,
         "seed": seed,
-        "ways": {way: _way(found, way, known) for way in dict.fromkeys(r.way for r in found)},
+        "ways": summarize_ways(found, known.within),
         "calibration": calibration(*_pairs([r for r in found if r.way == OURS], known)),
         "runs": [_run(r, known) for r in found],
     }
 
 
-def _run(r: Run, known: Known) -> dict:
+def _run(r: CenteringRun, known: Known) -> dict:
     c = r.centering
     return {
         "way": r.way,
         "offset_m": float(np.hypot(*r.ring.offset)),
         "mu_s": r.ring.mu_s,
-        "centred": r.centred(known.within),
+        "centred": r.is_centred(known.within),
         "left_m": float(np.hypot(*r.path[-1])),
         "probability": c.probability,
         "time_s": c.time,
@@ -62,20 +63,6 @@ def _none(x: float) -> float | None:
     return float(x) if np.isfinite(x) else None
 
 
-def _way(found: Sequence[Run], way: str, known: Known) -> dict:
-    own = [r for r in found if r.way == way]
-    time = np.array([r.centering.time for r in own])
-    pushes = np.array([len(r.centering.pushes) for r in own])
-    return {
-        "rings": len(own),
-        "centred": float(np.mean([r.centred(known.within) for r in own])),
-        "time_median_s": float(np.median(time)),
-        "time_mean_s": float(time.mean()),
-        "pushes_mean": float(pushes.mean()),
-        "measurements_mean": float(np.mean([r.centering.measurements for r in own])),
-    }
-
-
 def calibration(stated: NDArray, landed: NDArray) -> dict:
     """Stated probabilities of landing against how often the ring did: the slope of a straight
     line through the outcomes, its standard error, and the shares in ten bins."""
@@ -96,14 +83,14 @@ def calibration(stated: NDArray, landed: NDArray) -> dict:
     return out
 
 
-def _pairs(found: Sequence[Run], known: Known):
+def _pairs(found: Sequence[CenteringRun], known: Known):
     """(the stated probability of each push, whether it landed)."""
     stated = [p.plan.next.probability for r in found for p in r.centering.pushes]
     landed = [inside for r in found for inside in r.within(known.within)]
     return np.array(stated), np.array(landed, float)
 
 
-def centre_report(answer: dict, found: Sequence[Run], known: Known, pictures: bool) -> Report:
+def centre_report(answer: dict, found: Sequence[CenteringRun], known: Known, pictures: bool) -> Report:
     """All runs for a person."""
     ways, ours = answer["ways"], answer["ways"][OURS]
     within = f"{to_um(known.within):g} µm"
@@ -138,20 +125,18 @@ def centre_report(answer: dict, found: Sequence[Run], known: Known, pictures: bo
     tables.append(_one(first, known))
     drawn = []
     if pictures:
-        from difffric.commands.figures import plan
-
         drawn = [
             Picture(
                 "run",
                 "The first ring, by difffric: the offset after each push, where it was expected, "
                 "and what was known of mu_s.",
-                plan.run(first.centering, known, first.path),
+                figures.plan.draw_run(first.centering, known, first.path),
             ),
             Picture(
                 "times",
                 "How long each way takes to centre the rings, as shares of them; what never "
                 "reaches 1 did not centre all.",
-                plan.times(
+                figures.plan.draw_times(
                     {way: _times([r for r in found if r.way == way], known) for way in ways}
                 ),
             ),
@@ -164,12 +149,12 @@ def centre_report(answer: dict, found: Sequence[Run], known: Known, pictures: bo
     return Report("Rings centred", summary, [Section("Rings", text, tables, drawn)])
 
 
-def _times(found: Sequence[Run], known: Known) -> list[float]:
+def _times(found: Sequence[CenteringRun], known: Known) -> list[float]:
     """Infinite where the ring was not centred."""
-    return [r.centering.time if r.centred(known.within) else np.inf for r in found]
+    return [r.centering.time if r.is_centred(known.within) else np.inf for r in found]
 
 
-def _one(r: Run, known: Known) -> Table:
+def _one(r: CenteringRun, known: Known) -> Table:
     rows = []
     for i, (p, at) in enumerate(zip(r.centering.pushes, r.path[1:], strict=True), 1):
         s = p.plan.next

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from difffric.commands import figures
 from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.diagnosis.misfit import describe_misfits
 from difffric.diagnosis.verdict import ADEQUATE, AMBIGUOUS, NAMED, Cause, Diagnosis
@@ -132,28 +133,26 @@ def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
                       "at most [µm]"), rows)  # fmt: skip
         sections.append(Section("Beyond the plain model", tables=(table,)))
     if pictures:
-        from difffric.commands.figures import diagnose
-
         recordings = found.used_recordings
         drawn = []
         if recordings:
             drawn.append(
                 Picture(
                     "misfit", "Where the plain model misses, push by push.",
-                    diagnose.misfit(found),
+                    figures.diagnose.draw_misfit(found),
                 )
             )  # fmt: skip
         drawn.append(
             Picture(
                 "where", "Squared residuals per number, in units of the noise, over what changes "
-                "(red: plain, blue: with its causes).", diagnose.where(found),
+                "(red: plain, blue: with its causes).", figures.diagnose.draw_where(found),
             )
         )  # fmt: skip
         if recordings:
             drawn.append(
                 Picture(
                     "residuals", "Residuals of the pushes that the plain model fits worst "
-                    "(red: plain, blue: with its causes).", diagnose.residuals(found),
+                    "(red: plain, blue: with its causes).", figures.diagnose.draw_residuals(found),
                 )
             )  # fmt: skip
         if found.location:
@@ -161,7 +160,7 @@ def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
                 Picture(
                     "location", "What each component would explain if it were free to bend, and "
                     "the correction of the one that explains most.",
-                    diagnose.location(found.location),
+                    figures.diagnose.draw_location(found.location),
                 )
             )  # fmt: skip
         words = describe_misfits(found.misfit)

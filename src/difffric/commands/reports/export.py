@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+from difffric.commands import figures
 from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table
 from difffric.estimation.stacked_data import sensor_errors
 from difffric.identification.controller.c_code import golden, source_files, statement
@@ -61,8 +62,6 @@ def files_of(exported: Exported, rig: Rig) -> dict[str, bytes]:
 
 def export_report(exported: Exported, rig: Rig) -> Report:
     """The predictor for a person."""
-    from difffric.commands.figures.predictor import predictor_figure
-
     p = exported.predictor
 
     def percent(value, digits=3):
@@ -109,7 +108,7 @@ def export_report(exported: Exported, rig: Rig) -> Report:
     ]
     picture = Picture(
         "predictor", "Error over the box, and which readings are used.",
-        predictor_figure(exported, rig),
+        figures.predictor.draw_predictor(exported, rig),
     )  # fmt: skip
     use = [
         "predictor.c and predictor.h: C99, one function. golden.csv: readings and what it must "

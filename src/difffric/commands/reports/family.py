@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from difffric.commands import figures
 from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table
 from difffric.identification.surrogates import (
     PUBLISHED_DISTANCE,
@@ -51,8 +52,6 @@ def _surrogate_misfit(family: Family, force, distance) -> dict:
 
 def family_report(answer: dict, family: Family, rig: Rig) -> Report:
     """The families for a person."""
-    from difffric.commands.figures.paper import draw_families
-
     rows = []
     for equation in ("equation_3", "equation_5"):
         for name, fitted in answer[equation]["fitted"].items():
@@ -76,10 +75,14 @@ def family_report(answer: dict, family: Family, rig: Rig) -> Report:
     table = Table("Surrogate coefficients [N, mm/min, µm]", ("", "fitted", "published"), rows)
     pictures = [
         Picture(
-            "figure_II_5", "F_p over speed; dashed: published (3).", draw_families(family, "force")
+            "figure_II_5",
+            "F_p over speed; dashed: published (3).",
+            figures.paper.draw_families(family, "force"),
         ),
         Picture(
-            "figure_II_6", "d over speed; dashed: published (5).", draw_families(family, "distance")
+            "figure_II_6",
+            "d over speed; dashed: published (5).",
+            figures.paper.draw_families(family, "distance"),
         ),
     ]
     return Report("Curve families", summary, [Section("Fits", (), [table], pictures)])

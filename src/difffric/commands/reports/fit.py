@@ -19,6 +19,7 @@ from difffric.calibration.optimal_push import NextPush, next_push
 from difffric.calibration.profiles import Profile
 from difffric.calibration.profiles import profile as profiled
 from difffric.calibration.result import Fit
+from difffric.commands import figures
 from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.errors import InputError
 from difffric.number_text import format_number, format_pair
@@ -272,29 +273,25 @@ def _noise(fit: Fit) -> Table:
 
 
 def _correlation_picture(fit: Fit) -> list[Picture]:
-    from difffric.commands.figures import fit as figures_fit
-
     if len(fit.free) < 3:
         return []
     caption = "Correlations of the free parameters."
-    return [Picture("correlations", caption, figures_fit.correlations(fit))]
+    return [Picture("correlations", caption, figures.fit.draw_correlations(fit))]
 
 
 def _push_pictures(answer: Answer) -> list[Picture]:
-    from difffric.commands.figures import fit as figures_fit
-
     fit = answer.fit
     found = [
         Picture(
             "pushes",
             "Measured (one standard error) and calibrated model over speed; shaded: the scatter of "
             "mu_s. Below: residuals; shaded: ±2.",
-            figures_fit.pushes(fit, answer.beside),
+            figures.fit.draw_pushes(fit, answer.beside),
         )
     ]
     if "mu_s" in fit.names:
         caption = "Each push's own mu_s, one standard error; shaded: mean ± scatter."
-        found.append(Picture("mu_s", caption, figures_fit.own_friction(fit, answer.order)))
+        found.append(Picture("mu_s", caption, figures.fit.draw_own_friction(fit, answer.order)))
     if fit.kind == "recordings":
         shown = {}
         for i in _typical(answer.beside.velocity):
@@ -302,7 +299,7 @@ def _push_pictures(answer: Answer) -> list[Picture]:
             title = f"{answer.names[i] or f'push {i + 1}'}: {v:g} mm/min {fit.conditions[i]}"
             shown[title.rstrip()] = compare_trace(fit, i)
         caption = "Recorded and calibrated, with the whitened residuals below; shaded: ±2."
-        found.append(Picture("traces", caption, figures_fit.traces(shown)))
+        found.append(Picture("traces", caption, figures.fit.draw_traces(shown)))
     return found
 
 
@@ -330,11 +327,9 @@ def _profile_section(answer: Answer, pictures: bool) -> Section:
     )
     drawn = []
     if pictures:
-        from difffric.commands.figures import fit as figures_fit
-
         caption = "Rise of chi-square; dashed: what the standard error says."
         drawn.append(
-            Picture("profiles", caption, figures_fit.profiles(answer.fit, answer.profiles))
+            Picture("profiles", caption, figures.fit.draw_profiles(answer.fit, answer.profiles))
         )
     return Section("Profile-likelihood intervals", text, [Table("Intervals", columns, rows)], drawn)
 

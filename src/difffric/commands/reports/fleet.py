@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from difffric.commands import figures
 from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table
 from difffric.fleet.identify_archive import DATA_SET, Fleet
 from difffric.number_text import format_number, format_pair
@@ -88,14 +89,12 @@ def fleet_report(fleet: Fleet, answer: dict, pictures: bool) -> Report:
         if row["identified"]:
             days.setdefault(row["rig"], []).append(row)
     if days:
-        from difffric.commands.figures import fleet as figures_fleet
-
         drawn.append(
             Picture(
                 "mu_s_by_date",
                 "mu_s of each rig, the mean of each day's pushes; bars: one standard deviation "
                 "between them. Rigs beyond the twelve with most days are grey.",
-                figures_fleet.by_date(days),
+                figures.fleet.draw_by_date(days),
             )
         )
     text = (

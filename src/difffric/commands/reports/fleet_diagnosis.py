@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from difffric.commands import figures
 from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.fleet.diagnose_archive import RIGS
 from difffric.fleet.identify_archive import escape
@@ -176,9 +177,7 @@ def _evidence(found: FleetDiagnosis, most: int = 12) -> Table:
 
 
 def _matrix(found: FleetDiagnosis):
-    from difffric.commands.figures import fleet_diagnosis
-
     words = dict.fromkeys(found.found.unexplained, "unexplained")
     odd = {x.rig for x in found.differ} if len(found.answers) > 1 else set()
     rigs = sorted(found.answers)
-    return fleet_diagnosis.matrix(found.found.rows, rigs, words, odd)
+    return figures.fleet_diagnosis.draw_matrix(found.found.rows, rigs, words, odd)

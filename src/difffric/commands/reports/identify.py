@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from difffric.commands import figures
 from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table
 from difffric.identification.estimates import NONE, WAYS, Estimate, Identified
 from difffric.measurements.pushes import Pushes
@@ -92,19 +93,17 @@ def identify_report(
     velocity, order = _places(found, data)
     drawn = []
     if pictures:
-        from difffric.commands.figures import fit
-
         drawn = [
             Picture(
                 "mu_s_ways",
                 "mu_s of each push by each way to it, one standard error; dotted: mean of the best "
                 "estimates.",
-                fit.identified(found, velocity),
+                figures.fit.draw_identified(found, velocity),
             ),
             Picture(
                 "mu_s",
                 "The best estimate of each push; shaded: mean ± spread of its condition.",
-                fit.best_estimates(found, order, answer["conditions"]),
+                figures.fit.draw_best_estimates(found, order, answer["conditions"]),
             ),
         ]
     text = (

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
+from difffric.commands import figures
 from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table
 from difffric.errors import InputError
 from difffric.monitoring.alarms import Alarm
@@ -209,15 +210,13 @@ def monitor_report(feed: Feed, answer: dict, alarms: list[Explained], pictures: 
         lines.append(answer["stroke"])
     drawn = []
     if pictures:
-        from difffric.commands.figures.monitor import charts
-
         drawn.append(
             Picture(
                 "monitor",
                 "Above: mu_s of each push, and the state of its part at the part's first speed. "
                 "Middle: what mu_s cannot explain, against the pushes before. Below: the evidence "
                 "of a change. Lines: alarms; dotted: estimated changes.",
-                charts(monitor),
+                figures.monitor.draw_charts(monitor),
             )
         )
     text = (

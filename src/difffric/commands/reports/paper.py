@@ -6,19 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from difffric.commands import figures
 from difffric.commands.reports.diagnose import considered_table
 from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table
 from difffric.number_text import format_number, format_with_error
 from difffric.rig import parameters
 from difffric.simulation.trajectory import simulate
-from difffric.studies.paper import Paper, misprints
+from difffric.studies.paper import Paper, find_misprints
 from difffric.units import to_mm, to_mm_min, to_um
 
 
 def paper_report(paper: Paper) -> Report:
     """The paper's measurements for a person."""
-    from difffric.commands.figures import paper as figures
-
     return Report(
         "The paper's measurements, by equation (2)",
         _paper_summary(paper),
@@ -34,7 +33,7 @@ def paper_report(paper: Paper) -> Report:
                     Picture(
                         "identified",
                         "mu_s over speed, one standard error; crosses: the paper's own formulas.",
-                        figures.draw_identified(paper),
+                        figures.paper.draw_identified(paper),
                     )
                 ],
             ),
@@ -51,7 +50,7 @@ def paper_report(paper: Paper) -> Report:
                     Picture(
                         "residuals",
                         "Measured minus model over speed.",
-                        figures.draw_residuals(paper),
+                        figures.paper.draw_residuals(paper),
                     )
                 ],
             ),
@@ -96,10 +95,10 @@ def _diagnosis_text(paper: Paper) -> tuple[str, ...]:
 
 
 def _paper_summary(paper: Paper) -> list[str]:
-    errors = {(e["condition"], e["by"]): e for e in paper.errors()}
+    errors = {(e["condition"], e["by"]): e for e in paper.list_errors()}
     fast = [
         abs(r["mu_s_model"] / r["mu_s_gauge"] - 1) * 100
-        for r in paper.rows()
+        for r in paper.list_rows()
         if r["quantity"] != "peak_force_N" and r["velocity_mm_min"] >= 2000 and r["mu_s_model"]
     ]
     by_d, by_F = errors["DRY", "distance"], errors["DRY", "force"]
@@ -129,7 +128,7 @@ def _errors_table(paper: Paper) -> Table:
             f"{e['answered']} of {e['measurements']}",
             format_number(e["model_on_all_24"], 3),
         ]
-        for e in paper.errors()
+        for e in paper.list_errors()
     ]
     columns = ("", "as printed", "(4), (6), (7)", "model", "answered", "model, all 24 fitted")
     return Table("Mean absolute error of mu_s over six speeds [%]", columns, rows)
@@ -137,7 +136,7 @@ def _errors_table(paper: Paper) -> Table:
 
 def _rows_table(paper: Paper) -> Table:
     rows = []
-    for r in paper.rows():
+    for r in paper.list_rows():
         force = r["quantity"] == "peak_force_N"
         rows.append(
             [
@@ -167,7 +166,7 @@ def _weighted_table(paper: Paper) -> Table:
             format_with_error(r["mu_s_optimal"], r["mu_s_optimal_standard_error"]),
             format_number(r["disagreement_in_standard_deviations"], 2),
         ]
-        for r in paper.weighted()
+        for r in paper.list_weighted()
     ]
     columns = (
         "", "v [mm/min]", "gauge", "printed", "(7), published", "(7), model", "optimal",
@@ -220,15 +219,13 @@ def _calibration_table(paper: Paper) -> Table:
 def _misprints_table() -> Table:
     rows = [
         [m["table"], f"{m['velocity_mm_min']:.0f}", f"{m['printed']:.3f}", f"{m['recomputed']:.4f}"]
-        for m in misprints()
+        for m in find_misprints()
     ]
     columns = ("table", "v [mm/min]", "printed mu_s", "by its own formula")
     return Table("Printed mu_s that (4) or (6) does not give", columns, rows)
 
 
 def _paper_figures(paper: Paper) -> list[Picture]:
-    from difffric.commands.figures import paper as figures
-
     speed = paper.pushes.velocity[3]
     push = {}
     for condition in ("DRY", "OILY"):
@@ -240,19 +237,21 @@ def _paper_figures(paper: Paper) -> list[Picture]:
         Picture(
             "figure_II_3",
             f"Figure II.3: position ({where}).",
-            figures.draw_response(push, "position"),
+            figures.paper.draw_response(push, "position"),
         ),
         Picture(
-            "figure_II_4", f"Figure II.4: force ({where}).", figures.draw_response(push, "force")
+            "figure_II_4",
+            f"Figure II.4: force ({where}).",
+            figures.paper.draw_response(push, "force"),
         ),
         Picture(
             "figure_II_5",
             "Figure II.5: F_p over speed; dashed: the published (3).",
-            figures.draw_families(paper.families, "force", paper),
+            figures.paper.draw_families(paper.families, "force", paper),
         ),
         Picture(
             "figure_II_6",
             "Figure II.6: d over speed; dashed: the published (5).",
-            figures.draw_families(paper.families, "distance", paper),
+            figures.paper.draw_families(paper.families, "distance", paper),
         ),
     ]

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from difffric.centering.planning import SCATTER, Known, Plan, Step
+from difffric.centering.planning import SCATTER, Known, Plan, PlannedPush
 from difffric.centering.ring import Ring, measure
 from difffric.centering.ring_csv import load_ring
+from difffric.commands import figures
 from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.errors import InputError
 from difffric.number_text import format_number
@@ -61,7 +62,7 @@ def notes_on(setup: Setup) -> list[str]:
     return notes
 
 
-def step_answer(step: Step) -> dict:
+def step_answer(step: PlannedPush) -> dict:
     """A push as result.json has it (SI)."""
     return {
         "velocity_m_per_s": step.velocity,
@@ -157,15 +158,13 @@ def plan_report(
     ]
     drawn = []
     if pictures:
-        from difffric.commands.figures import plan
-
         drawn = [
             Picture(
                 "speeds",
                 "The push that ends at the target, at each speed: how likely it lands within the "
                 "tolerance, how its landing spreads, and its stroke; the push that was taken is "
                 "marked.",
-                plan.speeds(found, known),
+                figures.plan.draw_speeds(found, known),
             )
         ]
     text = (

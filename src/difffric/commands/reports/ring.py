@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.centering.ring import Ring
+from difffric.commands import figures
 from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.number_text import format_pair
 from difffric.units import to_mm, to_um
@@ -47,8 +48,6 @@ def ring_report(ring: Ring, angle: NDArray, radius: NDArray, pictures: bool = Tr
     text.append("A first harmonic of the ring's form cannot be told from an offset.")
     shown = []
     if pictures:
-        from difffric.commands.figures.ring import ring_figure
-
         caption = "Deviation from the fitted radius, much enlarged; residuals; form."
-        shown.append(Picture("ring", caption, ring_figure(angle, radius, ring)))
+        shown.append(Picture("ring", caption, figures.ring.draw_ring(angle, radius, ring)))
     return Report("Ring", summary, [Section("Offset", text, tables, shown)])

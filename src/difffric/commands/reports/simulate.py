@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from difffric.commands import figures
 from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table
 from difffric.number_text import format_number
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
 from difffric.simulation.events import Regime, explain
 from difffric.simulation.sensitivities import regime_margin, sensitivity
+from difffric.simulation.trajectory import simulate
 from difffric.units import from_mm_min, to_um
 
 
@@ -40,13 +42,14 @@ def simulate_answer(rig: Rig, velocity: float) -> dict:
 
 def simulate_pictures(rig: Rig, velocity: float) -> list[Picture]:
     """Position and force over time."""
-    from difffric.commands.figures.paper import draw_response
-    from difffric.simulation.trajectory import simulate
-
     push = {"": simulate(rig, velocity)}
     return [
-        Picture("position", "Position of the part over time.", draw_response(push, "position")),
-        Picture("force", "Contact force over time.", draw_response(push, "force")),
+        Picture(
+            "position",
+            "Position of the part over time.",
+            figures.paper.draw_response(push, "position"),
+        ),
+        Picture("force", "Contact force over time.", figures.paper.draw_response(push, "force")),
     ]
 
 

@@ -67,7 +67,7 @@ def test_without_a_stroke_pushes_are_homogeneous(scale):
 
 def test_a_stroke_or_an_effect_breaks_it():
     assert not homogeneous(parameters.with_stroke(RIG, 1e-3))
-    assert not homogeneous(df.extended(RIG, {"stribeck": {"v_s_m_per_s": 0.02}}))
+    assert not homogeneous(df.rig.extended(RIG, {"stribeck": {"v_s_m_per_s": 0.02}}))
 
 
 def test_the_bound_holds_and_is_close(exported):
@@ -105,7 +105,9 @@ def test_it_agrees_with_the_exact_inversion(exported):
         (seen["force"][0], "peak_force", found.mu_s_force),
         (seen["distance"][0], "sliding_distance", found.mu_s_distance),
     ):
-        for exact, value in zip(df.invert(RIG, v, target, quantity), mine, strict=True):
+        for exact, value in zip(
+            df.identification.invert(RIG, v, target, quantity), mine, strict=True
+        ):
             if np.isfinite(value):
                 assert value == pytest.approx(exact.value, rel=0.005)
 

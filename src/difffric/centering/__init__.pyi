@@ -1,0 +1,9 @@
+from .belief import Belief as Belief
+from .landing import find_landings as find_landings
+from .loop import centre as centre
+from .machine import Machine as Machine
+from .machine import SimulatedMachine as SimulatedMachine
+from .planning import Known as Known
+from .planning import plan as plan
+from .ring import measure as measure
+from .ring_csv import load_ring as load_ring

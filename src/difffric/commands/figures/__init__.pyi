@@ -1,0 +1,11 @@
+from . import acquire as acquire
+from . import diagnose as diagnose
+from . import fit as fit
+from . import fleet as fleet
+from . import fleet_diagnosis as fleet_diagnosis
+from . import monitor as monitor
+from . import paper as paper
+from . import plan as plan
+from . import predictor as predictor
+from . import ring as ring
+from . import style as style

@@ -1,0 +1,16 @@
+from . import parameters as parameters
+from .catalogue import extended as extended
+from .catalogue import universal as universal
+from .contact import AbstractContact as AbstractContact
+from .contact import UnilateralSpringDamper as UnilateralSpringDamper
+from .friction import AbstractFriction as AbstractFriction
+from .friction import ViscousCoulomb as ViscousCoulomb
+from .pusher import ConstantSpeed as ConstantSpeed
+from .rig import Rig as Rig
+from .rig import spring_damper_rig as spring_damper_rig
+from .sensors import ForceSensor as ForceSensor
+from .sensors import Probe as Probe
+from .setup import Setup as Setup
+from .setup_toml import load_setup as load_setup
+from .setup_toml import read_setup as read_setup
+from .setup_toml import write_setup as write_setup

@@ -1,0 +1,10 @@
+from .batch import observe_batch as observe_batch
+from .closed_form import ClosedForm as ClosedForm
+from .diffrax_reference import Diffrax as Diffrax
+from .families import family as family
+from .observables import observe as observe
+from .sensitivities import regime_margin as regime_margin
+from .sensitivities import sensitivity as sensitivity
+from .stepping.integrator import RungeKutta as RungeKutta
+from .trajectory import Trajectory as Trajectory
+from .trajectory import simulate as simulate

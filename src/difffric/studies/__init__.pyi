@@ -1,0 +1,5 @@
+from . import centering_runs as centering_runs
+from . import other_centering as other_centering
+from . import paper as paper
+from . import sampling as sampling
+from . import simulated_rig as simulated_rig
