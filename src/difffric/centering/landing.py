@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike, NDArray
 
-from difffric.compute.event_root import falling_root
-from difffric.compute.xla_options import soon_compiled
+from difffric.compute.event_root import find_falling_root
+from difffric.compute.xla_options import compile_soon
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
-from difffric.simulation.observables import observe
+from difffric.simulation.observables import Observables, observe
+from difffric.simulation.segments import Integrator
 
 _NEAR = 1e-9
 """[m] from the target, within which a stroke is taken for found"""
 PARTS = 64
-"""Pushes in a program of their own: always so many, so that few programs are compiled."""
+"""Pushes that a program takes: always so many, so that few programs are compiled."""
 
 
 class Landing(NamedTuple):
@@ -47,41 +50,58 @@ class Stroke(NamedTuple):
     """d displacement / d parameter [m per SI unit], the stroke held"""
 
 
-def pushed(rig: Rig, velocity, stroke, mu_s, integrator=None) -> Landing:
-    """n pushes of one rig: speeds [m/s], strokes [m], mu_s, each one value or n."""
+def find_landings(
+    rig: Rig,
+    velocity: ArrayLike,
+    stroke: ArrayLike,
+    mu_s: ArrayLike,
+    integrator: Integrator | None = None,
+) -> Landing:
+    """Follow n pushes of one rig and return where they leave the part.
+
+    Speeds [m/s], strokes [m] and mu_s are one value or n each.
+    """
     columns = np.broadcast_arrays(
         *(np.atleast_1d(np.asarray(x, float)) for x in (velocity, stroke, mu_s))
     )
-    numbers = _numbers(rig)
-    return Landing(*_in_parts(lambda *own: _pushed(numbers, *own, integrator), columns))
+    numbers = _to_numbers(rig)
+    landings = _run_in_parts(lambda v, s, mu: _land_block(numbers, v, s, mu, integrator), columns)
+    return Landing(*landings)
 
 
-def stroke_to(
-    rig: Rig, velocity, target, mu_s, longest, *, by: tuple[str, ...] = ("mu_s",), integrator=None
+def find_strokes(
+    rig: Rig,
+    velocity: ArrayLike,
+    target: ArrayLike,
+    mu_s: ArrayLike,
+    longest: ArrayLike,
+    *,
+    by: tuple[str, ...] = ("mu_s",),
+    integrator: Integrator | None = None,
 ) -> Stroke:
-    """The strokes [m], up to `longest`, that leave the part at `target` [m] from its start.
+    """Find the strokes [m], up to `longest`, that leave the part at `target` [m] from its start.
 
     The displacement grows with the stroke, if not everywhere strictly; the root is found by
     Newton's method on exact derivatives, in a bracket. Speeds [m/s], targets, mu_s and the
-    longest strokes are one value or n; `by` names what derivatives are wanted for.
+    longest strokes are one value or n each; `by` names what derivatives are wanted for.
     """
     columns = np.broadcast_arrays(
         *(np.atleast_1d(np.asarray(x, float)) for x in (velocity, target, mu_s, longest))
     )
-    numbers = _numbers(rig)
-    stroke, duration, slope, *rest = _in_parts(
-        lambda *own: _solved(numbers, *own, by, integrator), columns
+    numbers = _to_numbers(rig)
+    stroke, duration, slope, *rest = _run_in_parts(
+        lambda v, x, mu, most: _aim_block(numbers, v, x, mu, most, by, integrator), columns
     )
     return Stroke(stroke, duration, slope, dict(zip(by, rest, strict=True)))
 
 
-def _numbers(rig: Rig) -> Rig:
-    """The rig with a stroke, each number a NumPy array ()."""
+def _to_numbers(rig: Rig) -> Rig:
+    """Return the rig with a stroke, each of its numbers as a NumPy array ()."""
     return jax.tree.map(lambda leaf: np.asarray(leaf, float), parameters.with_stroke(rig, 1.0))
 
 
-def _in_parts(program, columns) -> list[NDArray]:
-    """A program of PARTS rows, applied to any number of them."""
+def _run_in_parts(program: Callable, columns: Sequence[NDArray]) -> list[NDArray]:
+    """Apply a program that takes columns of `PARTS` rows to columns of any length (n,)."""
     n = len(columns[0])
     found = []
     for first in range(0, n, PARTS):
@@ -90,46 +110,68 @@ def _in_parts(program, columns) -> list[NDArray]:
     return list(np.concatenate(found, axis=1)[:, :n])
 
 
-def _displaced(rig: Rig, velocity, stroke, changed, integrator):
+def _observe_push(
+    rig: Rig,
+    velocity: Float[Array, ""],
+    stroke: Float[Array, ""],
+    changed: Mapping[str, Float[Array, ""]],
+    integrator: Integrator | None,
+) -> Observables:
+    """Follow one push with another stroke [m] and some parameters changed."""
     rig = parameters.with_stroke(parameters.with_values(rig, changed), stroke)
     return observe(rig, velocity, integrator)
 
 
-@soon_compiled
-def _pushed(rig, velocity, stroke, mu_s, integrator):
-    def one(velocity, stroke, mu_s):
-        seen = _displaced(rig, velocity, stroke, {"mu_s": mu_s}, integrator)
+@compile_soon
+def _land_block(
+    rig: Rig,
+    velocity: Float[Array, " parts"],
+    stroke: Float[Array, " parts"],
+    mu_s: Float[Array, " parts"],
+    integrator: Integrator | None,
+) -> tuple[Float[Array, " parts"], ...]:
+    """The fields of `Landing`, for a part of the pushes."""
+
+    def land_one(velocity, stroke, mu_s):
+        seen = _observe_push(rig, velocity, stroke, {"mu_s": mu_s}, integrator)
         return seen.displacement, seen.duration, seen.peak_force, seen.sliding_distance
 
-    return jax.vmap(one)(velocity, stroke, mu_s)
+    return jax.vmap(land_one)(velocity, stroke, mu_s)
 
 
-@soon_compiled
-def _solved(rig, velocity, target, mu_s, longest, by, integrator):
+@compile_soon
+def _aim_block(
+    rig: Rig,
+    velocity: Float[Array, " parts"],
+    target: Float[Array, " parts"],
+    mu_s: Float[Array, " parts"],
+    longest: Float[Array, " parts"],
+    by: tuple[str, ...],
+    integrator: Integrator | None,
+) -> tuple[Float[Array, " parts"], ...]:
+    """Stroke, duration and the slopes of `Stroke`, for a part of the targets."""
     values = parameters.values(rig)
 
-    def one(velocity, target, mu_s, longest):
-        def lands(stroke, changed):
-            seen = _displaced(rig, velocity, stroke, {"mu_s": mu_s} | changed, integrator)
+    def aim_one(velocity, target, mu_s, longest):
+        def land(stroke, changed):
+            seen = _observe_push(rig, velocity, stroke, {"mu_s": mu_s} | changed, integrator)
             return seen.displacement, seen.duration
 
         def short_of(stroke, _):
-            (x, _), (slope, _) = jax.jvp(
-                lambda s: lands(s, {}), (stroke,), (jnp.ones_like(stroke),)
-            )
+            (x, _), (slope, _) = jax.jvp(lambda s: land(s, {}), (stroke,), (jnp.ones_like(stroke),))
             return target - x, -slope
 
-        stroke = falling_root(short_of, None, jnp.zeros_like(longest), longest, target)
+        stroke = find_falling_root(short_of, None, jnp.zeros_like(longest), longest, target)
         here = jnp.stack([stroke, *(mu_s if n == "mu_s" else values[n] for n in by)])
 
-        def moved(point):
-            return lands(point[0], dict(zip(by, point[1:], strict=True)))
+        def land_at(point):
+            return land(point[0], dict(zip(by, point[1:], strict=True)))
 
-        def along(direction):
-            return jax.jvp(moved, (here,), (direction,))
+        def move_along(direction):
+            return jax.jvp(land_at, (here,), (direction,))
 
-        (x, time), (slopes, _) = jax.vmap(along)(jnp.eye(1 + len(by)))
+        (x, time), (slopes, _) = jax.vmap(move_along)(jnp.eye(1 + len(by)))
         found = jnp.abs(x[0] - target) <= _NEAR
         return tuple(jnp.where(found, a, jnp.nan) for a in (stroke, time[0], *slopes))
 
-    return jax.vmap(one)(velocity, target, mu_s, longest)
+    return jax.vmap(aim_one)(velocity, target, mu_s, longest)

@@ -22,7 +22,7 @@ class _Search(NamedTuple):
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 5))
-def falling_root(f, args, lo, hi, guess, rounds=0):
+def find_falling_root(f, args, lo, hi, guess, rounds=0):
     """The root in [lo, hi] of `f(t, args) = (value, slope)`, which falls from > 0 to <= 0.
 
     Newton from `guess`; a step that leaves the bracket is replaced by bisection. So many
@@ -55,10 +55,10 @@ def falling_root(f, args, lo, hi, guess, rounds=0):
     return jax.lax.while_loop(unfinished, improve, start).t
 
 
-@partial(falling_root.defjvp, symbolic_zeros=True)
+@partial(find_falling_root.defjvp, symbolic_zeros=True)
 def _falling_root_jvp(f, rounds, primals, tangents):
     args, lo, hi, guess = primals
-    t = falling_root(f, args, lo, hi, guess, rounds)
+    t = find_falling_root(f, args, lo, hi, guess, rounds)
     # Along what does move: a law's share in a derivative by mu_s is then not computed as zeros.
     leaves, structure = jax.tree.flatten(args)
     along = jax.tree.leaves(tangents[0], is_leaf=_is_zero)

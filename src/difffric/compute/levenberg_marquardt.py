@@ -39,7 +39,7 @@ class LevenbergMarquardt(optx.LevenbergMarquardt):
         return stop | refused | nothing | (state.num_steps >= args), result
 
 
-class _NormalEquations(NamedTuple):
+class _ArrowBlocks(NamedTuple):
     """The blocks of the normal equations, and what takes a vector to their right-hand side."""
 
     shared: Any
@@ -78,7 +78,7 @@ class ArrowSolver(lx.AbstractLinearSolver):
             per_push = jnp.concatenate([per_push, damping.start[..., None]], axis=2)
         gram = jnp.einsum("inm,jnm->nij", per_push, per_push)
         rest = jnp.concatenate([prior, damping.theta], axis=1)[:P]
-        normal = _NormalEquations(
+        normal = _ArrowBlocks(
             shared=gram[:, :P, :P].sum(axis=0) + rest @ rest.T,
             mixed=gram[:, :P, P:],
             own=gram[:, P:, P:],

@@ -13,16 +13,16 @@ _MARK = ".difffric-"
 """Files that say which processes, by number, may be writing."""
 
 
-def made(folder: Path) -> bool:
-    """Whether the folder is there, made if need be, and nobody else may write to it."""
+def make_private(folder: Path) -> bool:
+    """Make the folder if need be. Whether it is there, and nobody else may write to it."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        return safe(os.lstat(folder))
+        return is_private(os.lstat(folder))
     except OSError:
         return False
 
 
-def safe(status: os.stat_result) -> bool:
+def is_private(status: os.stat_result) -> bool:
     """Whether what was looked at is this user's, no link, and nobody else may write it."""
     if not hasattr(os, "getuid"):
         return True
@@ -30,16 +30,16 @@ def safe(status: os.stat_result) -> bool:
     return status.st_uid == os.getuid() and not others and not stat.S_ISLNK(status.st_mode)
 
 
-def swept(folder: Path) -> None:
-    """Take out what a killed process may have left half-written, and tell the next ones that this
-    process may be writing.
+def sweep(folder: Path) -> None:
+    """Take out of the folder what a killed process may have left half-written, and tell the next
+    processes that this one may be writing.
 
     For a cache whose files do not appear whole (JAX's): all that was written since the killed
     process began is removed, other processes' too, which make it anew.
     """
     with suppress(OSError):
         for mark in folder.glob(f"{_MARK}*"):
-            if runs(int(mark.name.removeprefix(_MARK))):
+            if is_running(int(mark.name.removeprefix(_MARK))):
                 continue
             since = mark.stat().st_mtime_ns
             for file in folder.iterdir():
@@ -52,7 +52,7 @@ def swept(folder: Path) -> None:
         atexit.register(own.unlink, missing_ok=True)
 
 
-def runs(process: int) -> bool:
+def is_running(process: int) -> bool:
     """Whether there is a process of this number."""
     try:
         os.kill(process, 0)

@@ -33,7 +33,7 @@ from jax.core import Tracer
 from jax.experimental.compilation_cache import compilation_cache
 
 import difffric
-from difffric.compute.private_folder import REFUSED, made, runs, safe
+from difffric.compute.private_folder import REFUSED, is_private, is_running, make_private
 
 FOLDER = "DIFFFRIC_PROGRAMS"
 """Environment variable: where programs are kept; unset or empty: nowhere."""
@@ -51,7 +51,15 @@ _OLD = 30 * 86400.0
 """Age [s] at which the programs of another version are removed."""
 
 
-class kept:
+def cache_program(
+    function: Callable, options: Callable[[], dict | None] = lambda: None
+) -> CachedProgram:
+    """`function` compiled, and its programs kept on disk where that is switched on; use it as a
+    decorator. `options` gives the compiler's options, when the first program is made."""
+    return CachedProgram(function, options)
+
+
+class CachedProgram:
     """`equinox.filter_jit`, with programs kept on disk where that is switched on (`FOLDER`).
 
     A program is kept where all of its arguments are of this library's own kinds and its results are
@@ -59,13 +67,13 @@ class kept:
     it is `filter_jit` alone.
     """
 
-    def __init__(self, function: Callable, options: Callable[[], dict | None] = lambda: None):
+    def __init__(self, function: Callable, options: Callable[[], dict | None]):
         self._function, self._options = function, options
         self._ready: dict[Any, Callable | None] = {}
         self._jitted: Any = None
         update_wrapper(self, function)
 
-    def __call__(self, *args):
+    def __call__(self, *args: Any) -> Any:
         folder = _folder(os.environ.get(FOLDER, ""))
         if folder is None:
             return self.jitted(*args)
@@ -78,7 +86,7 @@ class kept:
         try:
             key = (tree, kinds)
             if key not in self._ready:
-                self._ready[key] = self._made(tree, leaves, arrays)
+                self._ready[key] = self._load_or_compile(tree, leaves, arrays)
             program = self._ready[key]
         except TypeError:  # an argument that cannot be hashed
             program = None
@@ -92,16 +100,20 @@ class kept:
             self._jitted = jit(self._function, compiler_options=self._options())
         return self._jitted
 
-    def lower(self, *args):
+    def lower(self, *args: Any) -> Any:
         """The program for these arguments, traced: `.compile()` makes it ready for later calls."""
         return self.jitted.lower(*args)
 
-    def _made(self, tree, leaves, arrays) -> Callable | None:
+    def _load_or_compile(self, tree, leaves, arrays) -> Callable | None:
         """The program for arguments like these, from the disk or put there; None: by `jitted`."""
         args = jax.tree.unflatten(tree, leaves)
         others = [x for x in leaves if not eqx.is_array(x)]
         named = str(tree)
-        if not all(isinstance(x, _PLAIN) for x in others) or not own(args) or _NAMELESS in named:
+        if (
+            not all(isinstance(x, _PLAIN) for x in others)
+            or not has_own_classes(args)
+            or _NAMELESS in named
+        ):
             return None
         where = (self._function.__module__, self._function.__qualname__)
         kinds = [_kind(x) if eqx.is_array(x) else (type(x).__name__, x) for x in leaves]
@@ -111,10 +123,10 @@ class kept:
             whole = [next(given) if eqx.is_array(x) else x for x in leaves]
             return self._function(*jax.tree.unflatten(tree, whole))
 
-        return program((*where, named, kinds), flat, arrays, self._options())
+        return load_or_compile((*where, named, kinds), flat, arrays, self._options())
 
 
-def program(
+def load_or_compile(
     key: tuple, function: Callable, arrays: list, options: dict | None = None
 ) -> Callable | None:
     """`function` of a list of arrays compiled for arrays like these: from the disk, or put there.
@@ -135,14 +147,14 @@ def program(
         shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=_kind(x)[2]) for x in arrays]
         trees = []
 
-        def listed(arrays):
+        def list_leaves(arrays):
             leaves, tree = jax.tree.flatten(function(arrays))
             trees.append(tree)
             return leaves
 
         with _without_jax_cache():
-            compiled = jax.jit(listed, compiler_options=options).lower(shapes).compile()
-        call = _called(compiled, trees[0])
+            compiled = jax.jit(list_leaves, compiler_options=options).lower(shapes).compile()
+        call = _wrap(compiled, trees[0])
         _write(path, compiled, trees[0])
         # What is kept is believed only where it gives the same once more.
         again = _read(path)
@@ -151,11 +163,11 @@ def program(
     return call
 
 
-def _called(compiled, tree) -> Callable:
+def _wrap(compiled, tree) -> Callable:
     return lambda arrays: jax.tree.unflatten(tree, compiled(arrays))
 
 
-def _marked(path: Path, call: Callable) -> Callable:
+def _mark_first_call(path: Path, call: Callable) -> Callable:
     """The program, whose first call leaves a mark where it takes the process with it."""
     mark = path.with_name(f"{path.name}{_MARK}{os.getpid()}")
     marked: Any = call
@@ -178,7 +190,7 @@ def _marked(path: Path, call: Callable) -> Callable:
 def _fatal(path: Path) -> bool:
     """Whether processes have ended, twice, in this program's first call."""
     marks = path.parent.glob(f"{path.name}{_MARK}*")
-    return sum(not runs(int(mark.name.rpartition(_MARK)[2])) for mark in marks) > 1
+    return sum(not is_running(int(mark.name.rpartition(_MARK)[2])) for mark in marks) > 1
 
 
 @cache
@@ -210,7 +222,7 @@ def _kind(x) -> tuple:
     return x.shape, x.dtype, getattr(x, "weak_type", False)
 
 
-def own(args) -> bool:
+def has_own_classes(args) -> bool:
     """Whether every node of a tree is of a class whose source a key knows of."""
     modules = set()
 
@@ -229,7 +241,7 @@ def _read(path: Path):
 
     try:
         with path.open("rb") as file:
-            if not safe(os.fstat(file.fileno())):
+            if not is_private(os.fstat(file.fileno())):
                 return None
             digest, blob = file.read(32), file.read()
         if hashlib.sha256(blob).digest() != digest:
@@ -238,7 +250,7 @@ def _read(path: Path):
         if by_lapack:
             _lapack_ready()
         loaded = serialize_executable.deserialize_and_load(*packed)
-        return _marked(path, _called(loaded, jax.tree.structure(skeleton)))
+        return _mark_first_call(path, _wrap(loaded, jax.tree.structure(skeleton)))
     except FileNotFoundError:
         return None
     except Exception:  # of another processor, or damaged: it is made anew
@@ -274,9 +286,9 @@ def _folder(root: str) -> Path | None:
     which is said where others may write there."""
     if not root:
         return None
-    folder = Path(root) / _made_with()
+    folder = Path(root) / _name_version()
     for part in (Path(root), folder):
-        if not made(part):
+        if not make_private(part):
             sys.stderr.write(f"difffric: {part}: {REFUSED}: compiled programs are not kept\n")
             return None
     with suppress(OSError):
@@ -287,7 +299,7 @@ def _folder(root: str) -> Path | None:
     return folder
 
 
-def _made_with() -> str:
+def _name_version() -> str:
     """A name for this library's files, what they stand on, and the processor."""
     own = sorted(_PACKAGE.rglob("*.py"))
     files = [(str(p.relative_to(_PACKAGE)), (s := p.stat()).st_size, s.st_mtime_ns) for p in own]

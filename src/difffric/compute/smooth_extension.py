@@ -4,6 +4,7 @@ at zero and a step may look past it."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -13,15 +14,13 @@ _TINY = 1e-30
 number."""
 
 
-def power(x: Float[Array, ""], n: Float[Array, ""] | float) -> Float[Array, ""]:
+def power(x: Float[Array, ""] | float, n: Float[Array, ""] | float) -> Float[Array, ""]:
     """x^n for x >= 0, continued to x < 0 as an odd function; exactly x for n = 1."""
     size = jnp.maximum(jnp.abs(x), _TINY)
     return x * jnp.exp((n - 1.0) * jnp.log(size))
 
 
-def extend_odd(
-    law: Callable[[Float[Array, ""]], Float[Array, ""]], x: Float[Array, ""]
-) -> Float[Array, ""]:
+def extend_odd(law: Callable[[Any], Any], x: Float[Array, ""]) -> Float[Array, ""]:
     """`law(x)`, continued to x < 0 by reflection through its value at zero.
 
     A step may look beyond the domain before its event is found there. Continued so, an affine

@@ -1,7 +1,7 @@
 """How XLA is asked to compile a program: sooner at the price of its speed, or as one function.
 
 A large program compiles in half the time where an older code generator is asked for; it then takes
-up to twice as long to run (`soon_compiled`).
+up to twice as long to run (`compile_soon`).
 
 XLA's CPU backend runs a program loop by loop, and hands each loop to its thread pool: a closed-form
 push has some 70, and to start one costs more than to run it over a few hundred pushes. A
@@ -19,7 +19,7 @@ from typing import Any
 import jax
 from jax.experimental.xla_metadata import set_xla_metadata
 
-from difffric.compute.program_cache import kept
+from difffric.compute.program_cache import CachedProgram, cache_program
 
 _SOON: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
 """XLA's newer code generator for fused loops takes most of the time that a large program needs
@@ -30,15 +30,15 @@ _MARKS = {"xla_cpu_small_call": "true", "inlineable": "false"}
 """XLA's frontend attributes: `small_while_loop_hoisting_pass.cc`, `call_inliner.cc`."""
 
 
-def soon_compiled(function: Callable) -> kept:
-    """`kept`, for a program whose first call counts more than each of the next.
+def compile_soon(function: Callable) -> CachedProgram:
+    """`cache_program`, for a program whose first call counts more than each of the next.
 
-    With a jaxlib that does not know the option it is `kept` alone.
+    With a jaxlib that does not know the option it is `cache_program` alone.
     """
-    return kept(function, lambda: known_options(_SOON))
+    return cache_program(function, lambda: keep_known_options(_SOON))
 
 
-def known_options(options: dict[str, Any]) -> dict[str, Any] | None:
+def keep_known_options(options: dict[str, Any]) -> dict[str, Any] | None:
     """The compiler's options, or none where this jaxlib does not know them."""
     return dict(options) if _are_known(tuple(options.items())) else None
 
@@ -61,18 +61,18 @@ def in_one_piece(function: Callable) -> Callable:
     that the function is called, not inlined.
     """
 
-    def unmarked(*args):
+    def call_unmarked(*args):
         with set_xla_metadata(**dict.fromkeys(_MARKS)):
             # XLA aborts where such a function leaves an argument unused: all are handed back.
             return function(*args), jax.lax.optimization_barrier(args)
 
     if not _TESTED:
         return function
-    called = jax.jit(unmarked)
+    called = jax.jit(call_unmarked)
 
     @wraps(function)
-    def marked(*args):
+    def call_marked(*args):
         with set_xla_metadata(**_MARKS):
             return jax.lax.optimization_barrier(called(*args))[0]
 
-    return marked
+    return call_marked

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from difffric.compute.program_cache import kept
+from difffric.compute.program_cache import cache_program
 from difffric.errors import InputError
 from difffric.estimation.coordinates import to_value
 from difffric.identification.estimates import Estimates
@@ -25,7 +25,7 @@ would stop the part they never arrive; a fixed number serves all slides of a bat
 Newton iteration would end in other last digits."""
 
 
-@kept
+@cache_program
 def _solve(rigs, velocity, d):
     """log mu_s at which each slide has its distance, the derivatives of log d there by log mu_s,
     log v, and k_v [1/(N s/m)], and log d there."""

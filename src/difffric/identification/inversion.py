@@ -18,13 +18,9 @@ from numpy.typing import NDArray
 
 from difffric.compute import pytrees
 from difffric.compute.event_root import HIT
-from difffric.compute.program_cache import kept
+from difffric.compute.program_cache import cache_program
 from difffric.errors import InputError
-from difffric.identification.push_models import (
-    PushModels,
-    Quantity,
-    call_in_chunks,
-)
+from difffric.identification.push_models import PushModels, Quantity
 from difffric.rig.rig import Rig
 from difffric.simulation.segments import Integrator
 from difffric.units import to_um
@@ -198,26 +194,25 @@ def _sort_distinct(roots: Sequence[Root]) -> list[Root]:
     return out
 
 
-@kept
-def _solve_batch(rigs, velocity, target, by_force, bracket, rising, integrator):
+@cache_program
+def _solve_batch(models: PushModels, target, by_force, bracket, rising):
     from difffric.identification.crossing import (
         find_crossing,  # here: a kept program needs no optimistix
     )
 
     def solve_one(rig, velocity, target, bracket, rising):
-        return find_crossing(rig, velocity, target, by_force, bracket, rising, integrator)
+        return find_crossing(rig, velocity, target, by_force, bracket, rising, models.integrator)
 
-    return jax.vmap(solve_one)(rigs, velocity, target, bracket, rising)
+    return jax.vmap(solve_one)(models.rigs, models.velocity, target, bracket, rising)
 
 
 def _solve_many(models: PushModels, target, bracket, rising, quantity: Quantity):
     by_force = jnp.asarray(quantity == "peak_force")
 
-    def solve_chunk(rigs, velocity, target, bracket, rising):
-        return _solve_batch(rigs, velocity, target, by_force, bracket, rising, models.integrator)
+    def solve_chunk(models, target, bracket, rising):
+        return _solve_batch(models, target, by_force, bracket, rising)
 
-    arrays = (models.rigs, models.velocity, target, bracket, rising)
-    return call_in_chunks(solve_chunk, arrays, len(target))
+    return models.call_in_chunks(solve_chunk, target, bracket, rising)
 
 
 def _grid(bracket: tuple[float, float]) -> NDArray:

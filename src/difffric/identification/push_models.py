@@ -6,23 +6,21 @@ One compiled program serves all batches of pushes with rigs of one kind.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 from numpy.typing import NDArray
 
-from difffric.compute.program_cache import kept
-from difffric.compute.pytrees import pick, replicate
+from difffric.compute.program_cache import cache_program
+from difffric.compute.pytrees import pick
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
-from difffric.simulation.families import MU_S, SPEEDS_MM_MIN
 from difffric.simulation.observables import Observables, observe
 from difffric.simulation.segments import Integrator
-from difffric.units import from_mm_min
 
 Quantity = Literal["peak_force", "sliding_distance"]
 """What of a push is inverted: F_p or d."""
@@ -46,8 +44,7 @@ class BothAt(NamedTuple):
     """a number that changes wherever a derivative may jump"""
 
 
-@dataclass(frozen=True)
-class PushModels:
+class PushModels(eqx.Module):
     """n pushes as functions of mu_s."""
 
     rigs: Rig
@@ -68,11 +65,17 @@ class PushModels:
     def observe_at(self, mu_s: NDArray) -> BothAt:
         """F_p, d and their derivatives, each push at its own mu_s (n,)."""
 
-        def observe_chunk(rigs, velocity, mu_s):
-            return _observe_batch(rigs, velocity, mu_s, self.integrator)
+        return BothAt(*self.call_in_chunks(_observe_batch, mu_s))
 
-        found = call_in_chunks(observe_chunk, (self.rigs, self.velocity, mu_s), mu_s.size)
-        return BothAt(*found)
+    def call_in_chunks(self, function: Callable[..., Any], *arrays: Any) -> Any:
+        """A compiled function of models and more trees of as many entries, called in chunks of a
+        fixed size, the last one filled up, so that one program serves all batches."""
+        n, parts = len(self), []
+        for start in range(0, n, _CHUNK):
+            index = np.minimum(np.arange(start, start + _CHUNK), n - 1)
+            found = function(self.pick(index), *pick(arrays, index))
+            parts.append(jax.tree.map(np.asarray, found))
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:n], *parts)
 
     def observe_rows(
         self, log_mu_s: NDArray, quantity: Quantity
@@ -113,9 +116,9 @@ def observe_at(
     return observe(parameters.with_values(rig, {"mu_s": mu_s}), velocity, integrator)
 
 
-@kept
+@cache_program
 def _observe_batch(
-    rigs: Rig, velocity: Float[Array, " n"], mu_s: Float[Array, " n"], integrator: Integrator | None
+    models: PushModels, mu_s: Float[Array, " n"]
 ) -> tuple[
     tuple[Float[Array, " n"], Float[Array, " n"]],
     tuple[Float[Array, " n"], Float[Array, " n"]],
@@ -125,27 +128,16 @@ def _observe_batch(
 
     def observe_one(rig, velocity, mu_s):
         def read(value):
-            seen = observe_at(rig, velocity, value, integrator)
+            seen = observe_at(rig, velocity, value, models.integrator)
             return (seen.peak_force, seen.sliding_distance), seen.kind
 
         return jax.jvp(read, (mu_s,), (jnp.ones_like(mu_s),), has_aux=True)
 
-    return jax.vmap(observe_one)(rigs, velocity, mu_s)
+    return jax.vmap(observe_one)(models.rigs, models.velocity, mu_s)
 
 
-def call_in_chunks(function: Callable[..., Any], arrays: tuple[Any, ...], n: int) -> Any:
-    """A compiled batch function of trees of n entries, called in chunks of a fixed size, the last
-    one filled up, so that one program serves all batches."""
-    parts = []
-    for start in range(0, n, _CHUNK):
-        index = np.minimum(np.arange(start, start + _CHUNK), n - 1)
-        parts.append(jax.tree.map(np.asarray, function(*pick(arrays, index))))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:n], *parts)
-
-
-def compute_range_ratio(rig: Rig, integrator: Integrator | None) -> float:
-    """Delta F / Delta d of equation (7) [N/m], as `Family.range_ratio`, over the paper's range."""
-    v, mu_s = (x.ravel() for x in np.meshgrid(from_mm_min(SPEEDS_MM_MIN), MU_S, indexing="ij"))
-    models = PushModels(replicate(rig, mu_s.size), v, integrator)
+def compute_range_ratio(models: PushModels, mu_s: NDArray) -> float:
+    """Delta F / Delta d of equation (7) [N/m]: the ratio of the ranges of F_p and d over pushes,
+    each at its own mu_s (n,)."""
     F, d = models.observe_at(mu_s).values
     return float(np.ptp(F) / (np.nanmax(d) - np.nanmin(d)))

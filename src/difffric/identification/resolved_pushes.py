@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.calibration.result import Fit
-from difffric.compute.xla_options import soon_compiled
+from difffric.compute.xla_options import compile_soon
 from difffric.estimation import coordinates
 from difffric.estimation.push_rigs import make_push_rigs
 from difffric.estimation.stacked_data import sensor_errors
@@ -56,12 +56,13 @@ class Calibration:
 
             return cls(fit.rig, names, of_fit, (fit.spread_force, fit.spread_distance))
         setup = rig if isinstance(rig, Setup) else Setup(rig)
-        values = parameters.values(setup.rig)
-        errors = {
+        said = {
             name: x.standard_error
             for name, x in setup.extras.items()
-            if name in values and name != "mu_s" and x.standard_error
+            if name != "mu_s" and x.standard_error
         }
+        values = parameters.values(setup.rig) if said else {}
+        errors = {name: error for name, error in said.items() if name in values}
         variance = [(e / coordinates.slope(n, float(values[n]))) ** 2 for n, e in errors.items()]
         return cls(
             setup.rig,
@@ -219,7 +220,7 @@ def _spread(rigs: Sequence[Rig], which: NDArray, pushes: Pushes) -> Rig:
     return jax.tree.map(lambda *leaves: np.stack(leaves)[which, here], *every)
 
 
-@soon_compiled
+@compile_soon
 def _differentiate(rigs, velocity, mu_s, names: tuple[str, ...], integrator):
     """(F_p, d), their derivatives by the coordinates of `names`, and the regime, at each mu_s."""
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
-from difffric.compute.xla_options import soon_compiled
+from difffric.compute.xla_options import compile_soon
 from difffric.identification.crossing import find_crossing
 from difffric.identification.inversion import BRACKET, Inversion, Root, judge_roots
 from difffric.identification.push_models import QUANTITIES, Quantity, observe_at
@@ -171,7 +171,7 @@ def _observe_many(
     return np.concatenate(found, axis=1)[:, : len(mu_s)]
 
 
-@soon_compiled
+@compile_soon
 def _observe_chunk(
     rig: Rig, velocity: Float[Array, " n"], mu_s: Float[Array, " n"], integrator: Integrator | None
 ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
@@ -182,7 +182,7 @@ def _observe_chunk(
     return jax.vmap(observe_one)(velocity, mu_s)
 
 
-@soon_compiled
+@compile_soon
 def _solve_cells(rig, velocity, target, by_force, brackets, rising, integrator):
     def solve_one(bracket, rising):
         return find_crossing(rig, velocity, target, by_force, bracket, rising, integrator)

@@ -19,7 +19,7 @@ import scipy
 from numpy.typing import NDArray
 
 from difffric.compute import pytrees
-from difffric.compute.xla_options import soon_compiled
+from difffric.compute.xla_options import compile_soon
 from difffric.identification.tabulated_model import TabulatedModel
 from difffric.measurements.pushes import Pushes
 from difffric.monitoring.readings import Reader
@@ -289,7 +289,7 @@ def _shift_setting(
     return np.asarray(both), np.asarray(by)
 
 
-@soon_compiled
+@compile_soon
 def _observe_with_shift(rig, velocity, log_mu_s, along, delta, names, integrator):
     def measure(delta):
         now = parameters.values(rig)

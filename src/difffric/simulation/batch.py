@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.compute.precision import require_float64
-from difffric.compute.program_cache import own, program
-from difffric.compute.xla_options import in_one_piece, known_options
+from difffric.compute.program_cache import has_own_classes, load_or_compile
+from difffric.compute.xla_options import in_one_piece, keep_known_options
 from difffric.errors import InputError
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
@@ -190,12 +190,12 @@ def _program(structure, varying, names, tiles) -> _Program:
         return jax.lax.fori_loop(0, (length + _TILE - 1) // _TILE, step, empty)
 
     whole = in_one_piece(all_tiles) if _in_one_piece(rig, integrator) else all_tiles
-    options = known_options(_OPTIONS)
+    options = keep_known_options(_OPTIONS)
     example = [np.asarray(0), np.empty(len(fixed)), np.empty((1 + len(varying), tiles, _TILE))]
     call = None
-    if own((rig, integrator)):
+    if has_own_classes((rig, integrator)):
         key = ("observe_batch", str(structure), varying, names, tiles)
-        call = program(key, lambda given: whole(*given), example, options)
+        call = load_or_compile(key, lambda given: whole(*given), example, options)
     if call is None:
         every = jax.jit(lambda given: whole(*given), compiler_options=options)
         call = every.lower(example).compile()

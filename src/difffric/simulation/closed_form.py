@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from difffric.compute.elementary_functions import angle, polynomial, quotient
-from difffric.compute.event_root import falling_root
+from difffric.compute.event_root import find_falling_root
 from difffric.errors import InputError
 from difffric.rig.rig import Rig
 from difffric.simulation.events import Event
@@ -116,7 +116,9 @@ class ClosedForm(eqx.Module):
             )
             top = jnp.where(halts, top, 0.0)
             args = (osc.alpha, osc.omega0_sq, w, dw, v_p)
-            halt = jnp.where(halts, falling_root(_undershoot, args, 0.0, top, 0.5 * top), jnp.inf)
+            halt = jnp.where(
+                halts, find_falling_root(_undershoot, args, 0.0, top, 0.5 * top), jnp.inf
+            )
             # Caught as it comes to rest, its last speed lost in rounding.
             halt = jnp.where(falling & (w >= v_p) & (v_p > 0), 0.0, halt)
         dt, event = first_event((left, Event.STOP), (turn, Event.TURN), (halt, Event.HALT))
@@ -167,7 +169,7 @@ class ClosedForm(eqx.Module):
         guess = t_turn - _release_phase(osc, z_e, jnp.where(leaves, depth, z_e))
         args = (osc.alpha, osc.omega0_sq, xi, w, z_e)
         upto = jnp.where(leaves, t_turn, 0.0)
-        parting = falling_root(_compression, args, 0.0, upto, guess, 1)
+        parting = find_falling_root(_compression, args, 0.0, upto, guess, 1)
         release = jnp.where(leaves, parting, jnp.inf)
         ends = (release, Event.RELEASE), (jnp.where(leaves, jnp.inf, turn), Event.TURN)
         if rig.pusher.stroke is None:  # no stop: what the root was found with serves again
@@ -202,7 +204,7 @@ class ClosedForm(eqx.Module):
         level = slide.drag + slide.rate * v_p
         since = jnp.where(caught & (u > v_p), ViscousSlide(level, slide.rate).rest(u - v_p)[0], 0.0)
         upto = jnp.where(caught, horizon, 0.0)
-        catch = jnp.where(caught, falling_root(_gap, args, since, upto, upto), jnp.inf)
+        catch = jnp.where(caught, find_falling_root(_gap, args, since, upto, upto), jnp.inf)
         dt, event = first_event((left, Event.STOP), (catch, Event.CATCH), (t_rest, Event.HALT))
         s, u_1 = slide.flow(u, dt)
         s = jnp.where(event == Event.HALT, s_rest, s)

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float
 
-from difffric.compute.event_root import falling_root
+from difffric.compute.event_root import find_falling_root
 from difffric.compute.pytrees import select
 from difffric.compute.smooth_extension import extend_odd
 from difffric.errors import InputError
@@ -175,7 +175,7 @@ class Diffrax(eqx.Module):
         sticks = rig.contact.approach(0.0, v_p) < F_S
         enough = find_compression(lambda z: rig.contact.approach(z, v_p), F_S)
         far = stop_gradient(jnp.where(sticks, enough, 0.0))
-        z = falling_root(lack, dynamic, 0.0, far, 0.5 * far)
+        z = find_falling_root(lack, dynamic, 0.0, far, 0.5 * far)
         return jnp.where(sticks, jnp.where(far < LARGEST_COMPRESSION, z, jnp.inf), 0.0)
 
     def closing(
@@ -378,7 +378,7 @@ class Diffrax(eqx.Module):
 
         upto = stop_gradient(jnp.where(passed, upto, 0.0))
         # What is zero at the step's start must not be found there: begin at the far side.
-        h = falling_root(value_and_slope, dynamic, 0.0, upto, 0.7 * upto)
+        h = find_falling_root(value_and_slope, dynamic, 0.0, upto, 0.7 * upto)
         return jnp.where(passed, h, jnp.inf)
 
     def _find_time(self, motion, event, progress):

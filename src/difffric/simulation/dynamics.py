@@ -87,11 +87,11 @@ class Motion(NamedTuple):
         """x, the part's position [m]."""
         return s.y - self.rig.contact.gap - s.z
 
-    def load(self, course: Course, s: PhasePoint) -> Float[Array, ""]:
+    def load(self, course: Course, s: PhasePoint) -> Float[Array, ""] | float:
         """Normal force at the part's place [N]."""
         return self.rig.load(self.position(s), course.beyond)
 
-    def breakaway(self, course: Course, s: PhasePoint) -> Float[Array, ""]:
+    def breakaway(self, course: Course, s: PhasePoint) -> Float[Array, ""] | float:
         """The contact force at which a part at rest starts to slide [N]."""
         friction, load = self.rig.friction, self.load(course, s)
         first = friction.first_breakaway(load)
@@ -170,7 +170,7 @@ class Motion(NamedTuple):
 
 
 def find_compression(
-    force_at: Callable[[Float[Array, ""]], Float[Array, ""]], force: Float[Array, ""]
+    force_at: Callable[[Float[Array, ""]], Any], force: Float[Array, ""] | float
 ) -> Float[Array, ""]:
     """A compression [m] at which a contact law's force carries `force` [N]: at most four times the
     least that does; beyond `LARGEST_COMPRESSION` where none does."""

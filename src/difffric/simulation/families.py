@@ -11,7 +11,7 @@ from jaxtyping import ArrayLike, Float, Int
 from numpy.typing import NDArray
 
 from difffric.compute import pytrees
-from difffric.compute.xla_options import soon_compiled
+from difffric.compute.xla_options import compile_soon
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
 from difffric.simulation.observables import observe
@@ -48,7 +48,7 @@ class Family:
         return np.nanmax(self.sliding_distance) - np.nanmin(self.sliding_distance)
 
 
-@soon_compiled
+@compile_soon
 def _grid(rig, velocity, mu_s, integrator):
     def one(velocity, mu_s):
         seen = observe(parameters.with_values(rig, {"mu_s": mu_s}), velocity, integrator)

@@ -12,7 +12,7 @@ from jax import Array
 from numpy.typing import NDArray
 
 from difffric.compute import pytrees
-from difffric.compute.program_cache import kept
+from difffric.compute.program_cache import cache_program
 from difffric.rig.rig import Rig
 from difffric.simulation.events import MAX_CONTACTS, MAX_CYCLES, Reason, Regime
 from difffric.simulation.segments import Integrator, Push, State
@@ -62,7 +62,7 @@ def observe(rig: Rig, velocity, integrator: Integrator | None = None) -> Observa
     return _observed(pytrees.as_arrays(push))
 
 
-@kept
+@cache_program
 def _observed(push: Push) -> Observables:
     if isinstance(push.integrator, RungeKutta):
         loop = push.integrator.build_loop(push.rig, push.velocity)

@@ -18,7 +18,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from numpy.typing import NDArray
 
 from difffric.compute import pytrees
-from difffric.compute.program_cache import kept
+from difffric.compute.program_cache import cache_program
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
 from difffric.simulation.observables import Observables, observe
@@ -101,7 +101,7 @@ def _differentiate(
     return dF, jnp.where(jnp.isnan(seen.sliding_distance), jnp.nan, dd), seen
 
 
-_differentiate_compiled = kept(_differentiate)
+_differentiate_compiled = cache_program(_differentiate)
 
 
 class Margin(NamedTuple):

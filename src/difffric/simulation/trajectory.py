@@ -10,7 +10,7 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
 from difffric.compute import pytrees
-from difffric.compute.program_cache import kept
+from difffric.compute.program_cache import cache_program
 from difffric.errors import InputError
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
@@ -98,7 +98,7 @@ class Trajectory(eqx.Module):
         return _read(self, jnp.asarray(t_force, float), jnp.asarray(t_position, float))
 
 
-@kept
+@cache_program
 def _evaluate(trajectory: Trajectory, t):
     def at(time):
         if trajectory.path is not None:
@@ -108,7 +108,7 @@ def _evaluate(trajectory: Trajectory, t):
     return jnp.vectorize(at, signature="()->(),(),()")(t)
 
 
-@kept
+@cache_program
 def _read(trajectory: Trajectory, t_force, t_position):
     if trajectory.path is not None:
         return trajectory.path.read(t_force, t_position)
@@ -180,6 +180,6 @@ def simulate(
     return _follow(push._replace(rig=arrays[0], velocity=arrays[1]))
 
 
-@kept
+@cache_program
 def _follow(push: Push) -> Trajectory:
     return Trajectory.of(push)

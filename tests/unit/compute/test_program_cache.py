@@ -13,7 +13,7 @@ import pytest
 
 import difffric as df
 from difffric.compute import private_folder, program_cache
-from difffric.compute.program_cache import FOLDER, kept
+from difffric.compute.program_cache import FOLDER, cache_program
 
 ROOT = Path(__file__).parents[3]
 RIG = df.spring_damper_rig(mass=18.9, mu_s=0.141, mu_k_over_mu_s=0.75, k_v=5.0, k=8e5, b=1500.0)
@@ -40,16 +40,18 @@ def package(tmp_path):
 
 def test_a_law_changed_two_folders_down_makes_another_program(folder, package, monkeypatch):
     monkeypatch.setattr(program_cache, "_PACKAGE", package.parents[2])
-    before = program_cache._made_with()
-    assert program_cache._made_with() == before
+    before = program_cache._name_version()
+    assert program_cache._name_version() == before
     package.write_text("mu_k = 0.8\n", encoding="utf-8")
-    changed = program_cache._made_with()
+    changed = program_cache._name_version()
     package.rename(package.with_name("contact.py"))
-    assert len({before, changed, program_cache._made_with()}) == 3
+    assert len({before, changed, program_cache._name_version()}) == 3
 
 
 def test_the_package_that_makes_a_program_is_this_one():
-    assert {"__init__.py", "programs.py"} <= {p.name for p in program_cache._PACKAGE.rglob("*.py")}
+    assert {"__init__.py", "program_cache.py"} <= {
+        p.name for p in program_cache._PACKAGE.rglob("*.py")
+    }
 
 
 def files_of(root):
@@ -64,7 +66,7 @@ def counted():
         traced.append(1)
         return {"sum": jnp.sin(x) * tree[0], "first": tree[1][0]}
 
-    return kept(function), traced
+    return cache_program(function), traced
 
 
 ARGUMENTS = np.linspace(0.0, 1.0, 5), (2.0, (np.arange(3.0),))
@@ -109,7 +111,7 @@ def test_a_kind_of_class_that_the_key_does_not_know_is_not_kept(folder):
         pass
 
     jax.tree_util.register_pytree_node(Mine, lambda x: (list(x), None), lambda _, x: Mine(x))
-    result = kept(lambda m: m[0] + 1.0)(Mine([np.ones(2)]))
+    result = cache_program(lambda m: m[0] + 1.0)(Mine([np.ones(2)]))
     assert np.array_equal(result, [2.0, 2.0]) and not files_of(folder)
 
 
@@ -134,7 +136,7 @@ def test_what_is_damaged_or_others_may_write_is_made_anew(folder, damage):
 
 def test_another_version_has_a_folder_of_its_own(folder, monkeypatch):
     counted()[0](*ARGUMENTS)
-    monkeypatch.setattr(program_cache, "_made_with", lambda: "another")
+    monkeypatch.setattr(program_cache, "_name_version", lambda: "another")
     program_cache._folder.cache_clear()
     function, traced = counted()
     function(*ARGUMENTS)
@@ -147,13 +149,13 @@ import jax
 import jax
 import jax.numpy as jnp
 import numpy as np
-from difffric.programs import kept
+from difffric.compute.program_cache import cache_program
 traced = []
 def solve(a, b):
     traced.append(1)
     return jnp.linalg.solve(a @ a.T, b), jnp.linalg.eigh(a @ a.T)[0]
 a = np.arange(9.0).reshape(3, 3) + np.eye(3)
-x, w = kept(solve)(a, a[0])
+x, w = cache_program(solve)(a, a[0])
 print(len(traced), float(x @ x), float(w.sum()))
 """
 
@@ -173,7 +175,7 @@ def test_a_program_that_calls_python_is_not_kept(folder):
         shape = jax.ShapeDtypeStruct(x.shape, x.dtype)
         return jax.pure_callback(lambda x: np.asarray(x) + 1.0, shape, x)
 
-    assert np.array_equal(kept(called)(np.zeros(2)), [1.0, 1.0])
+    assert np.array_equal(cache_program(called)(np.zeros(2)), [1.0, 1.0])
     assert not files_of(folder)
 
 
@@ -199,23 +201,23 @@ def test_observables_are_those_of_the_library_without_it(folder, monkeypatch):
 
 @needs_users
 def test_a_folder_that_others_may_write_is_refused(tmp_path, monkeypatch, capsys):
-    assert private_folder.made(tmp_path / "new" / "folder")
+    assert private_folder.make_private(tmp_path / "new" / "folder")
     assert (tmp_path / "new" / "folder").stat().st_mode & 0o777 == 0o700
     shared = tmp_path / "shared"
     shared.mkdir()
     for mode in (0o720, 0o702, 0o777):
         shared.chmod(mode)
-        assert not private_folder.made(shared)
+        assert not private_folder.make_private(shared)
     shared.chmod(0o755)
-    assert private_folder.made(shared)
+    assert private_folder.make_private(shared)
     (tmp_path / "link").symlink_to(shared)
-    assert not private_folder.made(tmp_path / "link")
+    assert not private_folder.make_private(tmp_path / "link")
     (tmp_path / "file").touch()
-    assert not private_folder.made(tmp_path / "file" / "below")
+    assert not private_folder.make_private(tmp_path / "file" / "below")
     monkeypatch.setenv(FOLDER, str(shared))
     uid = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: uid + 1)
-    assert not private_folder.made(shared)
+    assert not private_folder.make_private(shared)
     function, _ = counted()
     function(*ARGUMENTS)
     assert "compiled programs are not kept" in capsys.readouterr().err
@@ -231,11 +233,11 @@ def test_what_a_killed_process_may_have_left_is_swept(tmp_path):
     for second, path in enumerate((old, mark, torn)):
         path.touch()
         os.utime(path, (1e9 + second, 1e9 + second))
-    private_folder.swept(tmp_path)
+    private_folder.sweep(tmp_path)
     own = tmp_path / f".difffric-{os.getpid()}"
     assert set(tmp_path.iterdir()) == {old, own}
     (tmp_path / "new").touch()
-    private_folder.swept(tmp_path)
+    private_folder.sweep(tmp_path)
     assert (tmp_path / "new").exists()
 
 

@@ -42,7 +42,7 @@ class Guard(NamedTuple):
         its end."""
         (g_0, d_0), (g_1, d_1, c_1) = start, end
         numbers = g_0, d_0 * h, g_1, d_1 * h, c_1 * h * h
-        return cls(end, hermite.hermite(*stop_gradient(numbers)))
+        return cls(end, hermite.fit_quartic(*stop_gradient(numbers)))
 
     @classmethod
     def of_maximum(
@@ -55,7 +55,7 @@ class Guard(NamedTuple):
         """The rate of a quantity, which falls through zero where the quantity is largest, where
         that is sought; the quantity is known better than its rate, so that its quartic is taken."""
         (v_0, p_0), (v_1, p_1, q_1) = start, end
-        v = hermite.hermite(*stop_gradient((v_0, p_0 * h, v_1, p_1 * h, q_1 * h * h)))
+        v = hermite.fit_quartic(*stop_gradient((v_0, p_0 * h, v_1, p_1 * h, q_1 * h * h)))
         rate = (v[1], 2 * v[2], 3 * v[3], 4 * v[4], jnp.zeros_like(h))
         curve = tuple(jnp.where(sought, r, i) for r, i in zip(rate, (1.0, 0, 0, 0, 0), strict=True))
         return cls((jnp.where(sought, p_1, 1.0), jnp.where(sought, q_1, 0.0), 0.0), curve)
@@ -65,11 +65,11 @@ class Guard(NamedTuple):
         where it does not."""
         where = jnp.where(stop_gradient(self.end[0]) <= 0, 1.0, 2.0)
         for share in _LOOKS[::-1]:
-            where = jnp.where(hermite.value(self.curve, share) <= 0, share, where)
-        return jnp.where(where > 0.3, where - 0.25 * hermite.before(self.curve, where), where)
+            where = jnp.where(hermite.evaluate(self.curve, share) <= 0, share, where)
+        return jnp.where(where > 0.3, where - 0.25 * hermite.look_back(self.curve, where), where)
 
 
-class Crossing(NamedTuple):
+class GuardCrossing(NamedTuple):
     """The first guard that falls through zero within a step."""
 
     event: Int[Array, ""]
@@ -100,7 +100,7 @@ def find_crossing(
     aim: Int[Array, ""],
     near: Float[Array, ""],
     steady: Bool[Array, ""],
-) -> Crossing:
+) -> GuardCrossing:
     """The first guard that falls through zero within a step of h [s], of two at once the first
     named.
 
@@ -127,5 +127,5 @@ def find_crossing(
         event = jnp.where(earlier, code, event)
         end, curve = select(earlier, (guard.end, guard.curve), (end, curve))
     at_end = (aim == event) & (miss_aim < near)
-    share = jnp.where(at_end, 1.0, hermite.root(curve, first))
-    return Crossing(event, share, first <= 1.0, end)
+    share = jnp.where(at_end, 1.0, hermite.find_root(curve, first))
+    return GuardCrossing(event, share, first <= 1.0, end)

@@ -23,30 +23,19 @@ from difffric.simulation.dynamics import Course, Motion, PhasePoint
 from difffric.simulation.events import Event, Mode
 from difffric.simulation.stepping.dense_output import Stride
 from difffric.simulation.stepping.dop853 import take_step, take_step_in_loop
-from difffric.simulation.stepping.event_location import Crossing, Guard, find_crossing
+from difffric.simulation.stepping.event_location import Guard, GuardCrossing, find_crossing
 from difffric.simulation.stepping.sensor_readout import sense, start_readout
 from difffric.simulation.stepping.state import LoopState
+from difffric.simulation.stepping.step_plan import StepPlan, StepStart, plan_step
 from difffric.simulation.stepping.transitions import STEADY, Rules
 
 MAX_STEPS = 20_000
 """Steps after which a push is given up; the paper's take some hundred."""
-_FINEST = 1e-5  # of the push's own time: no step is shorter where a law is rough at first touch
 _LOST = 1e-13  # of the push's own time: a step as short as this no longer moves it
-_LONGEST = 1e3  # of the push's own time: the longest wait for a breakaway
 _CLOSE = 1e-4  # of a free step: an event this near to the end is reached by the Taylor step
 
 
-class _Start(NamedTuple):
-    """What is known where a step starts: rates, and each guard and the force with their rates."""
-
-    rate: PhasePoint
-    guards: dict[Event, Array]
-    slopes: dict[Event, Array]
-    N: Array
-    dN: Array
-
-
-class _End(NamedTuple):
+class _StepEnd(NamedTuple):
     """What is known where a step ends: the state, its rate and the rate's rate, and each guard and
     the force to second order."""
 
@@ -61,27 +50,12 @@ class _End(NamedTuple):
     ddN: Array
 
 
-class _Plan(NamedTuple):
-    """How far a step is to go, and why."""
-
-    h: Array
-    """[s]"""
-    aim: Array
-    """the event that it is to end on, or `Event.NONE`"""
-    aims: Array
-    """whether an earlier try of the step found that event"""
-    at_once: Array
-    """whether it goes straight to the breakaway"""
-    corner: Array | None
-    """until the command has come to its speed [s]; None: it has from the start"""
-
-
 class _Outcome(NamedTuple):
     """What has become of a step."""
 
     err: Array
     """its error, at most 1 where it is good"""
-    crossing: Crossing
+    crossing: GuardCrossing
     arrived: Array
     """whether it ends on an event"""
     cut: Array
@@ -200,7 +174,7 @@ class StepLoop(NamedTuple):
             return self.motion.rates(c, p)
 
         begin = self._look_at_start(m, field(m.s))
-        plan = self._plan_step(m, begin)
+        plan = plan_step(self.rules, m, begin)
         take = take_step_in_loop if self.looped else take_step
         y, errors = take(field, m.s, begin.rate, plan.h)
         end = self._look_at_end(c, y, field)
@@ -222,13 +196,13 @@ class StepLoop(NamedTuple):
         """Guards and N at p, and their rates where p's own are r."""
         return jax.jvp(lambda q: self.motion.guards(c, q), (p,), (r,))
 
-    def _look_at_start(self, m: LoopState, rate: PhasePoint) -> _Start:
+    def _look_at_start(self, m: LoopState, rate: PhasePoint) -> StepStart:
         (guards, N), (slopes, dN) = self._look(m.course, m.s, rate)
-        return _Start(rate, guards, slopes, N, dN)
+        return StepStart(rate, guards, slopes, N, dN)
 
     def _look_at_end(
         self, c: Course, y: PhasePoint, field: Callable[[PhasePoint], PhasePoint]
-    ) -> _End:
+    ) -> _StepEnd:
         rate = field(y)
         bend = jax.jvp(field, (y,), (rate,))[1]
 
@@ -237,40 +211,7 @@ class StepLoop(NamedTuple):
 
         values, rates = jax.jvp(look, (y, rate), (rate, bend))
         ((guards, N), (slopes, dN)), (_, (bends, ddN)) = values, rates
-        return _End(y, rate, bend, guards, slopes, bends, N, dN, ddN)
-
-    def _plan_step(self, m: LoopState, begin: _Start) -> _Plan:
-        """How far: to the event aimed at; at rest straight to the breakaway, as the force grows
-        now; else as far as the last step's error lets."""
-        motion, c, s = self.motion, m.course, m.s
-        pusher = motion.rig.pusher
-        stuck = c.mode == Mode.STUCK
-        aims = m.target >= 0
-        short, slope = begin.guards[Event.BREAKAWAY], begin.slopes[Event.BREAKAWAY]
-        ahead = jnp.where(slope < 0, short / -slope, jnp.inf)
-        longest = _LONGEST * self.time
-        wait = jnp.where(c.touching & (ahead < longest), ahead, longest)
-        at_once = stuck if pusher.constant else jnp.asarray(False)
-        wait = jnp.where(at_once, wait, jnp.where(stuck, jnp.minimum(wait, m.h), m.h))
-        h = jnp.where(aims, m.h_target, jnp.minimum(wait, self._limit_by_touch(c, s, begin.rate.z)))
-        rests = jnp.where(stuck & c.touching, Event.BREAKAWAY, Event.NONE)
-        aim = jnp.where(aims, m.target, rests)
-        corner = None
-        if not pusher.constant:
-            corner = pusher.ramp_time(motion.v) - s.t
-            meets = ~c.risen & (corner <= h)
-            h = jnp.where(meets, corner, h)
-            aim = jnp.where(meets, Event.RAMP_END, aim)
-        return _Plan(stop_gradient(h), aim, aims, at_once, corner)
-
-    def _limit_by_touch(self, c: Course, s: PhasePoint, w: Array) -> Array:
-        """The longest step [s] in contact. Where a law is not smooth at first touch, its
-        derivatives are less so than its values: steps there shrink with the compression, which
-        grows at the rate w [m/s]."""
-        touched = (c.mode == Mode.CLOSING) | (c.mode == Mode.REBOUNDING)
-        graded = jnp.where(w > 0, 1.5, 0.6) * s.z / jnp.maximum(jnp.abs(w), 1e-12 * self.u_0)
-        rough = touched & self.motion.rig.contact.rough
-        return jnp.where(rough, jnp.maximum(graded, _FINEST * self.time), jnp.inf)
+        return _StepEnd(y, rate, bend, guards, slopes, bends, N, dN, ddN)
 
     def _scale_error(self, errors: list[Array], mode: Array, h: Array) -> Array:
         """The error of a step of h [s], in units of what it may be: at most 1 where the step is
@@ -282,7 +223,9 @@ class StepLoop(NamedTuple):
             err = jnp.maximum(err, error / (scale * tol))
         return stop_gradient(jnp.where(jnp.isfinite(err), err, 1e9))
 
-    def _guards(self, m: LoopState, plan: _Plan, begin: _Start, end: _End) -> dict[Event, Guard]:
+    def _guards(
+        self, m: LoopState, plan: StepPlan, begin: StepStart, end: _StepEnd
+    ) -> dict[Event, Guard]:
         """Every guard of the mode over the step, in the order in which they are asked."""
         c, s, y, h = m.course, m.s, end.s, plan.h
         found = {
@@ -312,7 +255,7 @@ class StepLoop(NamedTuple):
         )
         return found
 
-    def _is_steady(self, c: Course, begin: _Start) -> Array:
+    def _is_steady(self, c: Course, begin: StepStart) -> Array:
         """Whether the part slides steadily before the tip, which has no events but the stop."""
         turn, slope = begin.guards[Event.TURN], begin.slopes[Event.TURN]
         quiet = jnp.abs(turn) + jnp.abs(slope) * self.time < STEADY * self.u_0
@@ -321,9 +264,9 @@ class StepLoop(NamedTuple):
     def _judge_step(
         self,
         m: LoopState,
-        plan: _Plan,
-        begin: _Start,
-        end: _End,
+        plan: StepPlan,
+        begin: StepStart,
+        end: _StepEnd,
         errors: list[Array],
         steady: Array,
     ) -> _Outcome:
@@ -341,7 +284,7 @@ class StepLoop(NamedTuple):
         return _Outcome(err, crossing, arrived, cut, good & ~cut, dt)
 
     def _accept(
-        self, m: LoopState, plan: _Plan, begin: _Start, end: _End, outcome: _Outcome
+        self, m: LoopState, plan: StepPlan, begin: StepStart, end: _StepEnd, outcome: _Outcome
     ) -> LoopState:
         """The state after the step, on the event that it has arrived at."""
         arrived, dt = outcome.arrived, outcome.dt
@@ -363,7 +306,7 @@ class StepLoop(NamedTuple):
             peak_contact=jnp.where(higher, m.contacts, m.peak_contact),
         )
 
-    def _try_again(self, m: LoopState, plan: _Plan, outcome: _Outcome) -> LoopState:
+    def _try_again(self, m: LoopState, plan: StepPlan, outcome: _Outcome) -> LoopState:
         """The state before the same step, which is to end on the event that it went beyond, or to
         be shorter by its error."""
         err, crossing = outcome.err, outcome.crossing
@@ -386,7 +329,7 @@ class StepLoop(NamedTuple):
             lost_track=m.lost_track | lost,
         )
 
-    def _record(self, m: LoopState, begin: _Start, end: _End, h: Array, dt: Array) -> Stride:
+    def _record(self, m: LoopState, begin: StepStart, end: _StepEnd, h: Array, dt: Array) -> Stride:
         """The step of h [s], and the Taylor step dt [s] beyond it, as functions of time."""
         c = m.course
         bend = jax.jvp(lambda p: self.motion.rates(c, p), (m.s,), (begin.rate,))[1]
