@@ -38,14 +38,17 @@ class Cause:
     probability: float
     """among the effects of the catalogue, one more being there"""
     confusable_with: tuple[str, ...]
+    """effects that explain nearly as much"""
     parameters: dict[str, tuple[float, float]]
     """key -> (value, standard error) [SI]; NaN: these data do not determine the error"""
     chi2_drop: float
+    """drop of -2 log likelihood that the refit with it makes"""
     chi2_drop_predicted: float
     """by the score test at the null, without a refit"""
     p_value: float
+    """of so large a drop by chance, all effects and looks counted"""
     heldout_gain: float
-    """drop of chi-square on held-out pushes"""
+    """drop of -2 log likelihood of held-out pushes"""
     change_mu_s: float = 0.0
     """relative change (rms over the pushes) of the identified mu_s, all causes together"""
     change_peak_force: float = 0.0
@@ -114,19 +117,25 @@ class DiagnosisState:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What the simulation gets wrong, why, how sure, and what it bought."""
+    """What the simulation gets wrong, why, how sure that is, and what mending it gains."""
 
     verdict: str
+    """`adequate`, `named`, `ambiguous` or `unexplained`"""
     p_value: float | None
-    """of the lack of fit of the plain model"""
+    """of the lack of fit of the plain model; None: the noise is not known"""
     causes: tuple[Cause, ...]
+    """what the set-up lacks, the largest change first"""
     negligible: tuple[Cause, ...]
+    """effects that are significant, and too small to matter"""
     location: Location | None
+    """where the misfit sits that no cause explains"""
     gain: HeldOutGain
     not_visible: tuple[str, ...]
+    """effects that these data cannot show, or not at their typical sizes"""
     impossible: dict[str, str]
     """effects that these data cannot show, with the reason"""
     plain: Fit
+    """the fit of the plain set-up, from a single start"""
     rig: Rig
     """the plain rig refitted with its causes"""
     setup: Setup
