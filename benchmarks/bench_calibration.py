@@ -27,7 +27,7 @@ REFERENCE = "difffric.fit, 10 starts"
 
 @pytest.fixture(scope="module")
 def pushes():
-    measured = paper.pushes()
+    measured = paper.load_pushes()
     n = len(measured)
     return replace(
         measured,

@@ -23,7 +23,7 @@ import numpy as np
 from difffric import spring_damper_rig
 from difffric.centering.belief import Belief
 from difffric.centering.planning import Known, plan
-from difffric.commands.reports.centre import centre_answer
+from difffric.commands.reports.centre import describe_centering
 from difffric.rig import extended
 from difffric.rig.rig import Rig
 from difffric.studies.centering_runs import MU_S, OURS, draw_rings, run_rings
@@ -118,7 +118,7 @@ def main() -> None:
         tell=lambda what, _: sys.stderr.write(f"\r{what} "),
     ):  # fmt: skip
         found.append(run)
-    answer = centre_answer(found, known(drift), a.seed)
+    answer = describe_centering(found, known(drift), a.seed)
     print(table(answer))
     if a.out:
         a.out.write_text(json.dumps(answer, default=float), encoding="utf-8")

@@ -30,11 +30,11 @@ from difffric.studies import paper
 from difffric.studies.sampling import (
     DSP,
     FPGA,
-    Sampled,
+    SampledPush,
     Sampler,
+    estimate_friction,
     mean_loss,
-    sampled,
-    sampled_friction,
+    sample_push,
 )
 from difffric.units import from_mm_min, from_um, to_um
 from studies import runs
@@ -74,10 +74,10 @@ def rig_of_the_examples():
 
 def calibrated_rig():
     """k, b and k_v by the paper's tables, distances that no rebound gives left out."""
-    measured = paper.pushes()
-    impossible = measured.sliding_distance > paper.bound_on(measured)
+    measured = paper.load_pushes()
+    impossible = measured.sliding_distance > paper.bound_distance(measured)
     reachable = np.where(impossible, np.nan, measured.sliding_distance)
-    fit = df.fit(paper.rough_rig(), replace(measured, sliding_distance=reachable))
+    fit = df.fit(paper.guess_rig(), replace(measured, sliding_distance=reachable))
     return parameters.with_values(fit.rig, {"mu_s": MU_S})
 
 
@@ -85,12 +85,12 @@ def errors(rig, speed: float, sampler: Sampler, **options) -> Errors:
     """Of RUNS runs at a speed [mm/min]."""
     velocity, phase = from_mm_min(float(speed)), (np.arange(RUNS) + 0.5) / RUNS
     push = df.simulate(rig, velocity)
-    parts = [sampled(push, sampler, phase[i::PARTS], seed=i, **options) for i in range(PARTS)]
-    seen = Sampled(*map(np.concatenate, zip(*parts, strict=True)))
+    parts = [sample_push(push, sampler, phase[i::PARTS], seed=i, **options) for i in range(PARTS)]
+    seen = SampledPush(*map(np.concatenate, zip(*parts, strict=True)))
     return Errors(
         seen.peak_force - float(push.peak_force),
         seen.sliding_distance - float(push.sliding_distance),
-        *(mu_s / MU_S - 1 for mu_s in sampled_friction(rig, velocity, seen)),
+        *(mu_s / MU_S - 1 for mu_s in estimate_friction(rig, velocity, seen)),
     )
 
 

@@ -1,4 +1,4 @@
-"""The closed loop: measure the ring, plan a push, push, identify mu_s, until it is centred."""
+"""The closed loop of centering: measure the ring, plan a push, make it, learn mu_s, and again."""
 
 from __future__ import annotations
 
@@ -11,37 +11,42 @@ import scipy
 from numpy.typing import NDArray
 
 from difffric.centering.belief import Belief
-from difffric.centering.landing import pushed
-from difffric.centering.machine import Machine, Readings
+from difffric.centering.landing import find_landings
+from difffric.centering.machine import Machine, PushReadings
 from difffric.centering.planning import SURE, Known, Plan, plan
 from difffric.errors import InputError
+from difffric.units import to_um
 
 MEASURING = 2.0
 """[s] for a rotation of the ring"""
 _MOST = 12
+"""Pushes to one ring, unless said: who needs more has a rig that is not what is planned with."""
+_SURPRISE = 30.0
+"""Square of the deviation from which a measurement contradicts the probe: 1 in 3 million."""
 _PROBE_SCALE = 1e-4
 """Relative standard error of the probe's scale: a digital linear probe's."""
 _NODES, _FINER = 128, 40
-"""mu_s at which a push is followed to identify it, and the steps between two of them"""
+"""Values of mu_s at which a push is followed to learn it, and the steps between two of them."""
 _NONE = 1e12
-"""chi^2 where the model has no such quantity"""
+"""chi^2 where the model has no such quantity."""
 
 
 @dataclass(frozen=True)
-class Pushed:
-    """A push of the loop."""
+class CenteringPush:
+    """A push of the loop, and what was learnt from it."""
 
     plan: Plan
-    readings: Readings
+    readings: PushReadings
     mu_s: float | None
     """identified from this push; None where its readings say nothing"""
     mu_s_error: float | None
     """relative standard error"""
     known_mu_s: tuple[float, float]
-    """the mean and its relative standard deviation, after it"""
+    """mean of mu_s and its relative standard deviation, as known after the push"""
     before: NDArray
-    """(2,) the offset as it was estimated [m]"""
+    """(2,) the offset as it was estimated before the push [m]"""
     after: NDArray
+    """(2,) the offset as it was estimated after the push [m]"""
 
 
 @dataclass(frozen=True)
@@ -54,7 +59,7 @@ class Centering:
     """its standard deviation [m]"""
     probability: float
     """of the ring being within the tolerance"""
-    pushes: tuple[Pushed, ...]
+    pushes: tuple[CenteringPush, ...]
     events: tuple[tuple[str, float], ...]
     """("measure" or "push", when it was over [s])"""
     mu_s: Belief
@@ -75,7 +80,7 @@ class Centering:
 
 @dataclass
 class _Loop:
-    """Where the loop stands."""
+    """Where the loop stands: the estimated offset, its covariance, and what was done."""
 
     machine: Machine
     offset: NDArray = field(default_factory=lambda: np.zeros(2))
@@ -85,42 +90,46 @@ class _Loop:
     notes: list[str] = field(default_factory=list)
 
     def measure(self) -> None:
+        """Measure the ring; note where that contradicts what the probe saw of the pushes."""
         ring = self.machine.measure()
         found = np.array([ring.x, ring.y])
         if self.events:
             apart = found - self.offset
             square = apart @ np.linalg.solve(self.covariance + ring.covariance, apart)
-            if square > 30.0:  # one in three million, by chance
+            if square > _SURPRISE:
                 self.notes.append(
-                    f"the ring was measured {1e6 * np.hypot(*apart):.1f} um from where the probe's "
-                    "displacements put it: its scale, or what moves beside the part, is not right"
+                    f"the ring was measured {to_um(np.hypot(*apart)):.1f} um from where the "
+                    "probe's displacements put it: its scale, or what moves beside the part, is "
+                    "not right"
                 )
         self.offset, self.covariance = found, np.array(ring.covariance)
-        self._past("measure", MEASURING)
+        self._log("measure", MEASURING)
 
-    def push(self, velocity: float, stroke: float, handling: float) -> Readings:
+    def push(self, velocity: float, stroke: float, handling: float) -> PushReadings:
+        """Push the ring towards the axis (SI units) and keep count of where it then is."""
         direction = float(np.arctan2(self.offset[1], self.offset[0]))
         readings = self.machine.push(velocity, stroke, direction)
         along = np.array([np.cos(direction), np.sin(direction)])
         self.offset = self.offset - readings.displacement * along
         error = np.hypot(readings.displacement_se, _PROBE_SCALE * readings.displacement)
         self.covariance = self.covariance + error**2 * np.outer(along, along)
-        self._past("push", readings.duration + handling)
+        self._log("push", readings.duration + handling)
         return readings
 
-    def _past(self, what: str, seconds: float) -> None:
+    def _log(self, what: str, seconds: float) -> None:
+        """Note an event that took so long."""
         self.time += seconds
         self.events.append((what, self.time))
 
     @property
     def distance(self) -> tuple[float, float]:
-        """(of the centre from the axis, its standard deviation along the push) [m]."""
+        """Distance of the centre from the axis, and its standard deviation along the push [m]."""
         e = float(np.hypot(*self.offset))
         u = self.offset / e if e > 0 else np.array([1.0, 0.0])
         return e, float(np.sqrt(u @ self.covariance @ u))
 
-    def inside(self, within: float) -> float:
-        """The probability that the centre is within the tolerance."""
+    def find_probability(self, within: float) -> float:
+        """Return the probability that the centre is within so many metres of the axis."""
         e, s = self.distance
         s = max(s, 1e-12)
         return float(scipy.special.ndtr((within - e) / s) - scipy.special.ndtr((-within - e) / s))
@@ -133,16 +142,19 @@ def centre(
     sure: float = SURE,
     measure_each: bool = False,
     verify: bool = False,
-    identify: Callable[[Known, Plan, Readings], Belief | None] | None = None,
+    identify: Callable[[Known, Plan, PushReadings], Belief | None] | None = None,
     most: int = _MOST,
     tell: Callable[[Centering], None] | None = None,
 ) -> Centering:
-    """Centre the ring: until it is within the tolerance with the probability `sure`.
+    """Push the ring until it is within the tolerance with the probability `sure`.
 
     The probe sees how far each push moved the part, so that the ring is measured anew only where
-    the offset is no longer known well enough. `measure_each`: after every push instead, and the
-    end is a measured offset within the tolerance; `verify`: at the end once more. `identify`
-    replaces how a push changes what is known of mu_s. At most so many pushes are made (`most`).
+    the offset is no longer known well enough. With `measure_each` it is measured after every push
+    instead, and the loop ends at a measured offset within the tolerance; with `verify` it is
+    measured once more at the end. `identify` replaces how a push changes what is known of mu_s. At
+    most `most` pushes are made. `tell` hears how the ring stands after each.
+
+    Where the ring cannot be centred, the answer's `reason` says why.
     """
     loop, pushes, reason = _Loop(machine), [], None
     loop.measure()
@@ -151,13 +163,19 @@ def centre(
     def standing() -> Centering:
         _, deviation = loop.distance
         return Centering(
-            loop.offset, deviation, loop.inside(known.within), tuple(pushes), tuple(loop.events),
-            known.mu_s, reason, tuple(loop.notes),
-        )  # fmt: skip
+            offset=loop.offset,
+            deviation=deviation,
+            probability=loop.find_probability(known.within),
+            pushes=tuple(pushes),
+            events=tuple(loop.events),
+            mu_s=known.mu_s,
+            reason=reason,
+            notes=tuple(loop.notes),
+        )
 
     while True:
         e, deviation = loop.distance
-        if (measure_each and e <= known.within) or loop.inside(known.within) >= sure:
+        if (measure_each and e <= known.within) or loop.find_probability(known.within) >= sure:
             if not verify or measured:
                 break
             loop.measure()
@@ -179,14 +197,14 @@ def centre(
         step = planned.next
         readings = loop.push(step.velocity, step.stroke, known.handling)
         measured = False
-        told = identified(known, step.velocity, step.stroke, readings)
+        learnt = identify_push(known, step.velocity, step.stroke, readings)
         if identify is None:
-            mu_s = known.mu_s.told(told.log_mu_s, told.likelihood)
+            mu_s = known.mu_s.update_with_likelihood(learnt.log_mu_s, learnt.likelihood)
         else:
             mu_s = identify(known, planned, readings) or known.mu_s
         known = replace(known, mu_s=mu_s)
         after = known.mu_s.mean, before, loop.offset
-        pushes.append(Pushed(planned, readings, told.mu_s, told.error, *after))
+        pushes.append(CenteringPush(planned, readings, learnt.mu_s, learnt.error, *after))
         if measure_each:
             loop.measure()
             measured = True
@@ -195,28 +213,31 @@ def centre(
     return standing()
 
 
-class Told(NamedTuple):
+class PushEvidence(NamedTuple):
     """What a push's force and distance say of its own mu_s."""
 
     mu_s: float | None
     """None where they do not tell one value"""
     error: float | None
-    """its relative standard error"""
+    """relative standard error of `mu_s`"""
     log_mu_s: NDArray
+    """(n,) logarithms that rise by equal steps"""
     likelihood: NDArray
-    """at each of these logarithms; 1 at most"""
+    """(n,) of the readings at each of these; 1 at most"""
 
 
-def identified(known: Known, velocity, stroke, readings: Readings) -> Told:
-    """mu_s of one push from its force and distance.
+def identify_push(
+    known: Known, velocity: float, stroke: float, readings: PushReadings
+) -> PushEvidence:
+    """Find mu_s of one push, at `velocity` [m/s] by `stroke` [m], from its force and distance.
 
-    Where the part rests in contact there is no sliding distance: its displacement counts. What was
-    known before chooses the value among several mu_s for one distance; the likelihood has them all,
-    and also says how far friction reaches that held the part.
+    Where the part rests in contact there is no sliding distance, and its displacement counts
+    instead. What was known before chooses the value among several mu_s for one distance. The
+    likelihood has them all, and it also says how large a friction may be that held the part.
     """
     lo, hi = known.mu_s.quantiles(np.array([1e-4, 1 - 1e-4]))
     nodes = np.geomspace(max(0.6 * lo, 0.011), min(1.6 * hi, 1.9), _NODES)
-    model = pushed(known.rig, velocity, stroke, nodes, known.integrator)
+    model = find_landings(known.rig, velocity, stroke, nodes, known.integrator)
     fine = np.linspace(np.log(nodes[0]), np.log(nodes[-1]), _FINER * _NODES)
     slid = np.isfinite(readings.sliding_distance)
     pairs = [
@@ -243,6 +264,6 @@ def identified(known: Known, velocity, stroke, readings: Readings) -> Told:
     left, right = np.flatnonzero(above[:best]), np.flatnonzero(above[best:])
     likelihood = np.exp(-0.5 * (square - square.min()))
     if not (len(left) and len(right)) or square[best] >= _NONE:
-        return Told(None, None, fine, likelihood)
+        return PushEvidence(None, None, fine, likelihood)
     error = 0.5 * (fine[best + right[0]] - fine[left[-1]])
-    return Told(float(np.exp(fine[best])), float(error), fine, likelihood)
+    return PushEvidence(float(np.exp(fine[best])), float(error), fine, likelihood)

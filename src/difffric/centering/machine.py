@@ -1,4 +1,4 @@
-"""A machine that centres rings: what it can measure and do, and one that is simulated."""
+"""A machine that centres rings: what the loop asks of it, and one that is simulated."""
 
 from __future__ import annotations
 
@@ -7,21 +7,24 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.centering.landing import pushed
+from difffric.centering.landing import find_landings
 from difffric.centering.ring import Ring, measure
 from difffric.errors import NumericalError
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
+from difffric.simulation.segments import Integrator
 from difffric.units import from_um, to_mm_min
 
 READINGS = 72
-"""of the probe over a rotation"""
+"""Readings of the probe over a rotation: one every 5 degrees."""
 _RADIUS = 0.1
+"""Radius of the simulated ring [m]."""
 _FORM = from_um(0.5)
+"""Standard deviation of the simulated lobes' amplitudes [m]."""
 
 
-class Readings(NamedTuple):
-    """What is read of one push, each with its standard error [SI]; NaN where there is none."""
+class PushReadings(NamedTuple):
+    """What is read of one push, each with its standard error, in SI units; NaN: there is none."""
 
     peak_force: float
     peak_force_se: float
@@ -32,6 +35,7 @@ class Readings(NamedTuple):
     """of the part, from its start to rest"""
     displacement_se: float
     duration: float
+    """until tip and part stand"""
 
 
 class Machine(Protocol):
@@ -41,7 +45,7 @@ class Machine(Protocol):
         """Turn the ring once and find its offset."""
         ...
 
-    def push(self, velocity: float, stroke: float, direction: float) -> Readings:
+    def push(self, velocity: float, stroke: float, direction: float) -> PushReadings:
         """Turn the ring until the encoder reads `direction` [rad] and push it towards the axis
         there, by the tip's `stroke` [m] at `velocity` [m/s]."""
         ...
@@ -65,7 +69,7 @@ class SimulatedMachine:
         drift: float = 0.0,
         noise_force: float = 0.5,
         noise_position: float = from_um(0.3),
-        integrator=None,
+        integrator: Integrator | None = None,
     ):
         self.rig, self.random, self.integrator = rig, random, integrator
         self.mean = float(parameters.values(rig)["mu_s"])
@@ -88,11 +92,11 @@ class SimulatedMachine:
         read = true + self.random.normal(0.0, self.noise_position, READINGS)
         return measure(angle, read, noise=self.noise_position)
 
-    def push(self, velocity: float, stroke: float, direction: float) -> Readings:
+    def push(self, velocity: float, stroke: float, direction: float) -> PushReadings:
         """Push the ring. Raises `NumericalError` for a push that cannot be followed."""
         mean = self.mean * np.exp(self.drift * len(self.pushed_with))
         mu_s = float(mean * np.exp(self.scatter * self.random.standard_normal()))
-        found = pushed(self.rig, velocity, stroke, mu_s, self.integrator)
+        found = find_landings(self.rig, velocity, stroke, mu_s, self.integrator)
         x, time, F, d = (float(a[0]) for a in found)
         if not np.isfinite(x):
             raise NumericalError(
@@ -102,7 +106,7 @@ class SimulatedMachine:
         self.offset = self.offset - x * np.array([np.cos(direction), np.sin(direction)])
         noise, twice = self.noise_position, np.sqrt(2) * self.noise_position
         moved = float(self.rig.probe.read(x)) - float(self.rig.probe.read(0.0))
-        return Readings(
+        return PushReadings(
             peak_force=F + self.noise_force * self.random.standard_normal(),
             peak_force_se=self.noise_force,
             sliding_distance=d + noise * self.random.standard_normal(),

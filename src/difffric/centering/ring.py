@@ -26,15 +26,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from difffric.centering.ring_fit import (
     Prior,
-    Readings,
     RingFit,
-    fitted,
-    inside,
-    model,
-    robust,
-    start,
+    RingReadings,
+    fit_circle,
+    fit_ring,
+    fit_robustly,
+    predict,
+    select_inliers,
 )
 from difffric.errors import InputError
+from difffric.units import to_mm, to_um
 
 FORM = 1e-6
 """Standard deviation [m] of each lobe's two amplitudes that a ring may have unless its readings
@@ -46,11 +47,11 @@ class Ring:
     """The offset of a ring's geometric centre from the axis, and what else its readings say."""
 
     x: float
-    """of the offset [m], towards the encoder's zero"""
+    """part of the offset towards the encoder's zero [m]"""
     y: float
-    """of the offset [m], towards 90 degrees"""
+    """part of the offset towards 90 degrees [m]"""
     covariance: NDArray
-    """of x and y [m^2], (2, 2); lobes, radius and noise are in it"""
+    """(2, 2) of x and y [m^2]; what lobes, radius and noise make uncertain is in it"""
     radius: float
     """[m]"""
     radius_se: float
@@ -60,11 +61,11 @@ class Ring:
     """(orders - 1, 2): amplitudes [m] of cos(n psi) and sin(n psi), n = 2 upwards"""
     lobes_se: NDArray
     form: float
-    """standard deviation of a lobe's amplitudes that was reckoned with [m]; inf: they are free"""
+    """standard deviation of a lobe's amplitudes that was allowed for [m]; inf: they are free"""
     outliers: NDArray
     """indices of the readings that were left out as outliers"""
     missing: int
-    """readings that are not numbers"""
+    """number of readings that are not numbers"""
     residuals: NDArray
     """(n,) measured less fitted [m]; NaN where the reading is"""
     reduced_chi2: float | None
@@ -97,7 +98,7 @@ class Ring:
         return across / self.offset if self.offset > 0 else float("inf")
 
     def as_dict(self) -> dict:
-        """As result.json holds it (SI)."""
+        """Return the ring as result.json holds it, in SI units."""
         orders = range(2, 2 + len(self.lobes))
         return {
             "offset_m": self.offset,
@@ -125,10 +126,10 @@ class Ring:
 
     def __str__(self) -> str:
         lines = [
-            f"offset {1e6 * self.offset:.3f} ± {1e6 * self.offset_se:.3f} µm towards "
+            f"offset {to_um(self.offset):.3f} ± {to_um(self.offset_se):.3f} µm towards "
             f"{np.degrees(self.direction):.3f} ± {np.degrees(self.direction_se):.3f} degrees",
-            f"radius {1e3 * self.radius:.6f} ± {1e3 * self.radius_se:.6f} mm, noise "
-            f"{1e6 * self.noise:.3f} µm, {len(self.outliers)} outliers, "
+            f"radius {to_mm(self.radius):.6f} ± {to_mm(self.radius_se):.6f} mm, noise "
+            f"{to_um(self.noise):.3f} µm, {len(self.outliers)} outliers, "
             f"{np.degrees(self.arc):.0f} degrees",
         ]
         return "\n".join([*lines, *self.notes])
@@ -142,13 +143,14 @@ def measure(
     lobes: int | None = None,
     form: float = FORM,
 ) -> Ring:
-    """The offset of a ring from n readings: `angle` [rad], in any order, and `radius` [m].
+    """Find the offset of a ring from n readings: `angle` [rad], in any order, and `radius` [m].
 
-    `noise` [m]: standard deviation of one reading; estimated unless given. `lobes`: the highest
-    order; every one from 2 to it is then free (1: none, a round ring). Unless given, the readings
-    choose the order, up to 16, and how large lobes are, of which `form` [m] is the least that is
-    reckoned with: on a short arc lobes look as an offset does, and the standard errors say so.
-    NaN readings are missing; outliers (4 standard deviations) are left out and listed.
+    `noise` is the standard deviation of one reading [m], estimated unless given. `lobes` is the
+    highest order of lobes; all from 2 to it are then free (1: there are none, the ring is round).
+    Unless it is given, the readings choose the order, up to 16, and how large lobes are; `form` [m]
+    is the least size that is allowed for, as on a short arc lobes look as an offset does, and the
+    standard errors are to say so. NaN readings are missing; outliers (4 standard deviations) are
+    left out and listed.
 
     Raises `InputError` for fewer than four usable readings or angles, lengths that differ,
     numbers out of range, and an offset not smaller than the radius.
@@ -165,27 +167,27 @@ def measure(
         raise InputError(f"ring: lobes: expected an order from 1 (none) to 100, got {lobes}")
     usable = np.isfinite(theta) & np.isfinite(r)
     t, y = theta[usable], r[usable]
-    arc = _checked(t, y, lobes)
-    data = Readings(np.cos(t), np.sin(t), t, y)
+    arc = _check_readings(t, y, lobes)
+    data = RingReadings(np.cos(t), np.sin(t), t, y)
     free = None if lobes is None and form else Prior(lobes or 1, np.inf)
     first = free or Prior(min(8, max(1, (len(t) - 3) // 2)), 10 * form)
     p = np.zeros(first.size)
-    p[:3] = start(data)
-    p, weight = robust(data, p, first, noise)
+    p[:3] = fit_circle(data)
+    p, weight = fit_robustly(data, p, first, noise)
     for _ in range(6):
-        found = fitted(data, p, free, weight, noise, form)
+        found = fit_ring(data, p, free, weight, noise, form)
         p = found.p
-        kept = inside(data, found)
+        kept = select_inliers(data, found)
         if (kept == (weight > 0)).all() or kept.sum() < 4:
             break
         weight = kept.astype(float)
     if not np.hypot(p[0], p[1]) < p[2]:
         raise InputError(
-            f"ring: the readings give an offset of {1e3 * np.hypot(p[0], p[1]):.4g} mm, expected "
-            f"less than the radius, {1e3 * p[2]:.4g} mm"
+            f"ring: the readings give an offset of {to_mm(np.hypot(p[0], p[1])):.4g} mm, expected "
+            f"less than the radius, {to_mm(p[2]):.4g} mm"
         )
     residuals = np.full(len(theta), np.nan)
-    residuals[usable] = y - model(data, p)[0]
+    residuals[usable] = y - predict(data, p)[0]
     chi2 = float((weight * residuals[usable] ** 2).sum() / found.noise**2)
     se = np.sqrt(np.diag(found.covariance))
     return Ring(
@@ -203,19 +205,22 @@ def measure(
         residuals=residuals,
         reduced_chi2=None if noise is None or found.freedom < 1 else chi2 / found.freedom,
         arc=arc,
-        notes=_notes(data, found, weight, arc),
+        notes=_write_notes(data, found, weight, arc),
     )
 
 
-def surface(ring: Ring, angle: ArrayLike, lobes: bool = True) -> NDArray:
-    """Radius [m] of the fitted surface at encoder angles [rad], with its lobes or without."""
+def evaluate_surface(ring: Ring, angle: ArrayLike, lobes: bool = True) -> NDArray:
+    """Return the fitted surface's radius [m] at encoder angles [rad], with lobes or without."""
     t = np.asarray(angle, float)
     p = np.concatenate([[ring.x, ring.y, ring.radius], ring.lobes.ravel() if lobes else []])
-    return model(Readings(np.cos(t), np.sin(t), t, t), p)[0]
+    return predict(RingReadings(np.cos(t), np.sin(t), t, t), p)[0]
 
 
-def _checked(t, r, lobes) -> float:
-    """The arc that the readings span [rad]."""
+def _check_readings(t: NDArray, r: NDArray, lobes: int | None) -> float:
+    """Return the arc that readings r [m] at angles t [rad] span [rad].
+
+    Raises `InputError` where they are too few for the lobes that are wanted, or not radii.
+    """
     if len(t) < 4:
         raise InputError(
             f"ring: {len(t)} usable readings; expected at least 4, as offset and radius are 3 "
@@ -235,14 +240,15 @@ def _checked(t, r, lobes) -> float:
     return float(2 * np.pi - np.diff(at, append=at[0] + 2 * np.pi).max())
 
 
-def _notes(data, fit: RingFit, weight, arc) -> tuple[str, ...]:
+def _write_notes(data: RingReadings, fit: RingFit, weight: NDArray, arc: float) -> tuple[str, ...]:
+    """Return what a person should know of a fit: an arc that is too short, many outliers."""
     notes = []
     if len(fit.p) > 3:
-        by = model(data, fit.p)[1][:, :3]
+        by = predict(data, fit.p)[1][:, :3]
         round_only = fit.noise**2 * np.linalg.pinv((by * weight[:, None]).T @ by, hermitian=True)
         ratio = np.sqrt(np.trace(fit.covariance[:2, :2]) / np.trace(round_only[:2, :2]))
         if ratio > 2:
-            lobes = "free lobes" if fit.form == np.inf else f"lobes of {1e6 * fit.form:.2g} µm"
+            lobes = "free lobes" if fit.form == np.inf else f"lobes of {to_um(fit.form):.2g} µm"
             notes.append(
                 f"an arc of {np.degrees(arc):.0f} degrees is too short to tell {lobes} from an "
                 f"offset: its standard error is {ratio:.3g} times that of a round ring"

@@ -1,4 +1,5 @@
-"""A ring's probe readings over a rotation, `.csv`: read with all their problems named, and written.
+"""Tables (`.csv`) of a ring's probe readings over a rotation: read, with all problems named, and
+written.
 
 A row a reading: `angle_deg`, and `radius_mm` or `reading_um`, the deviation from the nominal
 radius. An empty cell, or `nan`, is a missing sample.
@@ -22,10 +23,12 @@ _ANGLE, _RADIUS, _READING = "angle_deg", "radius_mm", "reading_um"
 
 
 def load_ring(path: str | os.PathLike, radius: float | None = None) -> tuple[NDArray, NDArray]:
-    """(angle [rad], radius [m]) of each reading, NaN where one is missing.
+    """Read the angle [rad] and radius [m] of each reading, (n,) each; NaN where one is missing.
 
-    `radius` [m]: the nominal one, which `reading_um` counts from; of a table of `radius_mm` it is
-    not used. Raises `InputError` naming what is wrong with the file, by line and column.
+    `radius` is the nominal one [m], which `reading_um` counts from; a table of `radius_mm` does not
+    need it.
+
+    Raises `InputError` naming what is wrong with the file, by line and column.
     """
     try:
         text = read_bytes(path).decode("utf-8-sig")

@@ -1,5 +1,8 @@
 """The fit behind a measured ring: Gauss-Newton steps, weights against outliers, and lobes of
-unknown size integrated out. Parameters are x, y, R and then each lobe's two amplitudes [m]."""
+unknown size, which are integrated out.
+
+The parameters p (k,) are x, y, R, and then two amplitudes for each order of lobes, from 2 on [m].
+"""
 
 from __future__ import annotations
 
@@ -11,16 +14,28 @@ from numpy.typing import NDArray
 from difffric.errors import NumericalError
 
 _ORDERS = (5, 9, 16)
+"""Highest orders of lobes that are averaged over: ground rings have few, and few above 16."""
 _SCALES = 3.0 ** np.arange(6)
+"""Sizes of lobes that are averaged over, over the least one that is allowed for."""
 _OUTLIER = 4.0
 """Standard deviations beyond which a reading is an outlier: of normal ones 1 in 16 000 is."""
+_TUKEY = 4.685
+"""Residual over the standard deviation from which Tukey's weight is 0: 95 % efficiency."""
+_HUBER = 0.29
+"""Residual over `_TUKEY` from which Huber's weight falls: 1.345 / 4.685, 95 % efficiency."""
 
 
-class Readings(NamedTuple):
+class RingReadings(NamedTuple):
+    """Readings of a ring, (n,) each."""
+
     cos: NDArray
+    """of theta"""
     sin: NDArray
+    """of theta"""
     theta: NDArray
+    """encoder angle [rad]"""
     r: NDArray
+    """distance of the surface from the axis [m]"""
 
 
 class Prior(NamedTuple):
@@ -31,25 +46,37 @@ class Prior(NamedTuple):
 
     @property
     def size(self) -> int:
+        """The number of parameters."""
         return 3 + 2 * (self.order - 1)
 
     @property
     def precision(self) -> NDArray:
-        """[1/m^2], of every parameter: x, y, R, and each order's two amplitudes."""
+        """(size,) of every parameter [1/m^2]."""
         return np.concatenate([np.zeros(3), np.full(self.size - 3, self.scale**-2.0)])
 
 
 class RingFit(NamedTuple):
+    """The fitted parameters of a ring, and what the readings say of them."""
+
     p: NDArray
+    """(k,) parameters [m]"""
     noise: float
+    """standard deviation of one reading [m]: given, or estimated"""
     covariance: NDArray
+    """(k, k) of p [m^2]"""
     leverage: NDArray
+    """(n,) how much of each reading's residual the fit follows"""
     freedom: float
+    """degrees of freedom that the residuals have left"""
     form: float
+    """standard deviation of a lobe's amplitudes [m], in the mean over priors; inf: free"""
 
 
-def start(data: Readings) -> NDArray:
-    """x, y, R of the algebraic circle x^2 + y^2 = 2 a x + 2 b y + c: exact without noise."""
+def fit_circle(data: RingReadings) -> NDArray:
+    """Return x, y, R [m] of the algebraic circle x^2 + y^2 = 2 a x + 2 b y + c.
+
+    It is exact without noise, and where outliers make it none, it is the median circle.
+    """
     x, y = data.r * data.cos, data.r * data.sin
     mean = data.r.mean()
     rows = np.stack([2 * x, 2 * y, np.full_like(x, mean)], axis=1)
@@ -60,8 +87,11 @@ def start(data: Readings) -> NDArray:
     return np.array([a, b, np.sqrt(square)])
 
 
-def model(data: Readings, p) -> tuple[NDArray, NDArray]:
-    """r (n,) and its derivatives (n, p); those through psi, 1e-5 of the rest, are left out."""
+def predict(data: RingReadings, p: NDArray) -> tuple[NDArray, NDArray]:
+    """Return the radii r (n,) [m] by the model, and their derivatives by p (n, k).
+
+    The derivatives through psi, 1e-5 of the rest, are left out.
+    """
     x, y, R = p[:3]
     along = x * data.cos + y * data.sin
     across = x * data.sin - y * data.cos
@@ -81,28 +111,36 @@ def model(data: Readings, p) -> tuple[NDArray, NDArray]:
     return along + inner, by
 
 
-def _shortened(step, p):
-    """A step that moves the centre by half the radius at most."""
+def _shorten(step: NDArray, p: NDArray) -> NDArray:
+    """Return a step that moves the centre by half the radius at most."""
     longest = np.hypot(step[0], step[1])
     return step * min(1.0, 0.5 * p[2] / longest) if longest > 0 else step
 
 
-def robust(data, p, prior, noise):
-    """A start that outliers hardly move (Tukey's weights), and who counts after it (0 or 1)."""
-    weight, e, by = np.ones_like(data.r), *_off(data, p)
+def fit_robustly(
+    data: RingReadings, p: NDArray, prior: Prior, noise: float | None
+) -> tuple[NDArray, NDArray]:
+    """Fit from p by weights that outliers hardly move.
+
+    Returns the parameters, and for each reading whether it counts (n,), 1 or 0.
+
+    It is iterated by hand: statsmodels' RLM is linear and knows no prior, and scipy's robust losses
+    keep their scale, take five times as long and, with 28 % of outliers, find others.
+    """
+    weight, e, by = np.ones_like(data.r), *_find_residuals(data, p)
     sigma = noise or max(float(np.sqrt(e @ e / len(e))), 1e-15 * p[2])
     for k in range(30):
         heavy, ridge = by * weight[:, None], prior.precision * sigma**2
-        step = _inverse(heavy.T @ by + np.diag(ridge)) @ (heavy.T @ e - ridge * p)
-        p = p + _shortened(step, p)
-        e, by = _off(data, p)
+        step = _invert(heavy.T @ by + np.diag(ridge)) @ (heavy.T @ e - ridge * p)
+        p = p + _shorten(step, p)
+        e, by = _find_residuals(data, p)
         spread = 1.4826 * np.median(np.abs(e)) * np.sqrt(len(e) / max(len(e) - 3, 1))
         sigma = max(spread, noise or 0.0, 1e-15 * p[2])
-        z = np.abs(e) / (4.685 * sigma)
+        z = np.abs(e) / (_TUKEY * sigma)
         if k == 1 and z.max() < 1:
             return p, np.ones_like(weight)  # nothing is far off
         # Huber's weights first: Tukey's, from a bad start, may stay there.
-        huber = np.minimum(1.0, 0.29 / np.maximum(z, 1e-9))
+        huber = np.minimum(1.0, _HUBER / np.maximum(z, 1e-9))
         new = huber if k < 5 else np.maximum(1 - z**2, 0.0) ** 2
         settled = k > 5 and np.abs(new - weight).max() < 1e-2
         weight = new
@@ -111,8 +149,19 @@ def robust(data, p, prior, noise):
     return p, (np.abs(e) < _OUTLIER * sigma).astype(float)
 
 
-def fitted(data, p, prior: Prior | None, weight, noise, form) -> RingFit:
-    """Gauss-Newton from p to the best parameters; `prior` None: averaged over all priors."""
+def fit_ring(
+    data: RingReadings,
+    p: NDArray,
+    prior: Prior | None,
+    weight: NDArray,
+    noise: float | None,
+    form: float,
+) -> RingFit:
+    """Fit the parameters by Gauss-Newton steps from p, each reading with its weight (n,).
+
+    Without a `prior` the answer is averaged over lobes of all `_ORDERS`, and over their sizes from
+    `form` [m] on.
+    """
     widest = prior or Prior(_ORDERS[-1], _SCALES[2] * form)
     at = np.zeros(widest.size)
     n = min(len(p), len(at))
@@ -120,22 +169,22 @@ def fitted(data, p, prior: Prior | None, weight, noise, form) -> RingFit:
     by = inverse = np.zeros((0, 0))
     variance = freedom = scale = 0.0
     for _ in range(20):
-        value, by = model(data, at)
+        value, by = predict(data, at)
         heavy = by * weight[:, None]
         normal, e = heavy.T @ by, data.r - value
         # About the circle alone: its lobes are unknowns of the linear problem, as x, y, R are.
         e = e + by[:, 3:] @ at[3:]
         right, square = heavy.T @ e, float(weight @ e**2)
         exact = (1e-15 * at[2]) ** 2
-        variance, freedom = _variance(normal, right, square, weight.sum(), widest)
+        variance, freedom = _estimate_variance(normal, right, square, weight.sum(), widest)
         variance = max(noise**2 if noise else variance, exact)
         if prior is None:
-            q, inverse, scale = _averaged(normal, right, variance, form)
+            q, inverse, scale = _average_over_priors(normal, right, variance, form)
         else:
-            inverse = _inverse(normal + variance * np.diag(prior.precision))
+            inverse = _invert(normal + variance * np.diag(prior.precision))
             q, scale = inverse @ right, prior.scale
         step = np.concatenate([q[:3], q[3:] - at[3:]])
-        at = at + _shortened(step, at)
+        at = at + _shorten(step, at)
         se = np.sqrt(variance * np.diag(inverse))
         if (np.abs(step) <= 1e-3 * se + 1e-15 * at[2]).all():
             break
@@ -143,11 +192,15 @@ def fitted(data, p, prior: Prior | None, weight, noise, form) -> RingFit:
     return RingFit(at, float(np.sqrt(variance)), variance * inverse, leverage, freedom, scale)
 
 
-def _averaged(normal, right, variance, form):
-    """(estimate, covariance over the variance, mean size of lobes), averaged over orders and sizes
-    of lobes by how likely the readings are under each, the lobes integrated out.
+def _average_over_priors(
+    normal: NDArray, right: NDArray, variance: float, form: float
+) -> tuple[NDArray, NDArray, float]:
+    """Average over orders and sizes of lobes by how likely the readings are under each, the lobes
+    integrated out. The likeliest alone would be sure of what a short arc cannot show.
 
-    The likeliest alone would be sure of what a short arc cannot show.
+    Takes the normal equations' matrix (k, k) and right side (k,), and the variance of a reading
+    [m^2]. Returns the estimate (k,), its covariance over the variance (k, k), and the mean size of
+    lobes [m].
     """
     m = Prior(_ORDERS[-1], form).size
     means, covariances, logs, sizes = [], [], [], []
@@ -178,7 +231,11 @@ def _averaged(normal, right, variance, form):
     return mean, inverse, float(share @ size)
 
 
-def _inverse(matrix) -> NDArray:
+def _invert(matrix: NDArray) -> NDArray:
+    """Invert a positive definite matrix (k, k), scaled to a diagonal of ones.
+
+    Raises `NumericalError` where it is singular but for rounding.
+    """
     scale = 1 / np.sqrt(np.diag(matrix))
     even = matrix * scale[:, None] * scale
     try:
@@ -194,14 +251,17 @@ def _inverse(matrix) -> NDArray:
     return found * scale[:, None] * scale
 
 
-def _variance(normal, right, square, count, prior) -> tuple[float, float]:
-    """(of one reading [m^2], degrees of freedom), by a few rounds, as the prior's pull depends
-    on it."""
+def _estimate_variance(
+    normal: NDArray, right: NDArray, square: float, count: float, prior: Prior
+) -> tuple[float, float]:
+    """Estimate the variance of one reading [m^2] and its degrees of freedom, from the normal
+    equations of `count` readings and the sum of their squares. It takes a few rounds, as the
+    prior's pull depends on the variance."""
     variance, freedom = max(square / count, 1e-300), 1.0
     for _ in range(4):
-        inverse = _inverse(normal + variance * np.diag(prior.precision))
+        inverse = _invert(normal + variance * np.diag(prior.precision))
         q = inverse @ right
-        rss = max(square - 2 * q @ right + q @ normal @ q, 0.0)
+        rss = max(float(square - 2 * q @ right + q @ normal @ q), 0.0)
         freedom = count - float((inverse * normal).sum())
         variance = max(rss / max(freedom, 1.0), 1e-300)
         if prior.scale == np.inf:
@@ -209,13 +269,14 @@ def _variance(normal, right, square, count, prior) -> tuple[float, float]:
     return variance, freedom
 
 
-def _off(data, p) -> tuple[NDArray, NDArray]:
-    value, by = model(data, p)
+def _find_residuals(data: RingReadings, p: NDArray) -> tuple[NDArray, NDArray]:
+    """Return measured less predicted radii (n,) [m], and the derivatives of the latter (n, k)."""
+    value, by = predict(data, p)
     return data.r - value, by
 
 
-def inside(data, fit: RingFit) -> NDArray:
-    """Which readings are no outliers, in units of their residual's own standard deviation."""
-    e = np.abs(data.r - model(data, fit.p)[0])
+def select_inliers(data: RingReadings, fit: RingFit) -> NDArray:
+    """Return which readings (n,) are no outliers, by their residual's own standard deviation."""
+    e = np.abs(data.r - predict(data, fit.p)[0])
     own = np.sqrt(np.clip(1 - fit.leverage, 1e-2, 1.0))
     return e < _OUTLIER * fit.noise * own + 1e-14 * fit.p[2]

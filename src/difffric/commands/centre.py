@@ -60,6 +60,6 @@ def centre(
             )
         )
         tell("drawing", 0.99)
-        answer = answers.centre_answer(found, known, seed)
-        report = answers.centre_report(answer, found, known, pictures=out is not None)
+        answer = answers.describe_centering(found, known, seed)
+        report = answers.report_centering(answer, found, known, pictures=out is not None)
     print_and_write(report, answer, out)

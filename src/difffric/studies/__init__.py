@@ -1,3 +1,16 @@
+"""Studies: what the library shows of itself, and of the paper that it grew from.
+
+- `paper` holds the paper's tables, calibrates and identifies its pushes, and says what equation (2)
+  gets wrong. `difffric paper` prints it.
+- `sampling` says what a sampling rate costs, by samples of an exact push.
+- `centering_runs` centres many hidden rings on simulated machines; `other_centering` has the other
+  ways that it compares with.
+- `simulated_rig` puts a set-up's rig in front of a simulated card.
+
+A study takes its set-up by argument and returns numbers; what tells them to a person stands in
+`commands`, and what runs for hours in the repository's folder `studies`.
+"""
+
 import lazy_loader
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -20,12 +20,14 @@ from difffric.units import from_um
 
 OURS = "difffric"
 MU_S = (0.08, 0.25)
+"""Range that hidden mu_s are drawn from, unless said: it has the paper's parts in it."""
 OFFSETS = (from_um(5.0), from_um(5000.0))
+"""Range that offsets are drawn from [m], unless said."""
 
 
 @dataclass(frozen=True)
 class HiddenRing:
-    """What the loop does not know."""
+    """A ring as it truly is, which the loop does not know."""
 
     offset: NDArray
     """(2,) [m]"""
@@ -44,11 +46,11 @@ class CenteringRun:
     """(pushes + 1, 2) where the ring's centre truly was [m]"""
 
     def within(self, tolerance: float) -> NDArray:
-        """(pushes,) whether the ring was truly within it after each push."""
+        """Return whether the ring was truly within so many metres after each push (pushes,)."""
         return np.hypot(*self.path[1:].T) <= tolerance
 
     def is_centred(self, tolerance: float) -> bool:
-        """Whether it truly was in the end, and the loop said so."""
+        """Whether the ring truly was within so many metres in the end, and the loop said so."""
         return self.centering.reason is None and bool(np.hypot(*self.path[-1]) <= tolerance)
 
 
@@ -70,7 +72,8 @@ class _WatchedMachine:
 def draw_rings(
     n: int, seed: int, mu_s: tuple[float, float] = MU_S, offsets: tuple[float, float] = OFFSETS
 ) -> list[HiddenRing]:
-    """n rings: mu_s uniform, the offset log-uniform [m] in any direction."""
+    """Draw n rings: mu_s uniform in its range, the offset log-uniform in its [m], in any
+    direction."""
     random = np.random.default_rng(seed)
     out = []
     for _ in range(n):
@@ -94,9 +97,10 @@ def run_rings(
     verify: bool = False,
     tell: Tell = silent,
 ) -> Iterator[CenteringRun]:
-    """Centre each ring in each way; every way meets the same ring, noise and scatter.
+    """Centre each ring in each way, and yield each run as it ends.
 
-    `truth` is the rig behind the machine where it is not the one that is planned with.
+    Every way meets the same ring, noise and scatter. `truth` is the rig behind the machine where it
+    is not the one that is planned with.
     """
     rivals = Rivals(known) if set(ways) - {OURS} else None
     rig = known.rig if truth is None else truth

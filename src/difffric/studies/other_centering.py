@@ -1,6 +1,6 @@
-"""Other ways to centre a ring, to be compared with: each measures it after every push.
+"""Other ways to centre a ring, to compare difffric's with: each measures it after every push.
 
-All plan on the same exact model; what differs is what they know of friction and which speeds they
+All plan on the same exact model. They differ in what they know of friction and in which speeds they
 take.
 """
 
@@ -28,7 +28,7 @@ RIVALS = {
 
 
 class Rivals:
-    """The other ways for one set-up, whose surrogates are fitted once."""
+    """The other ways for what is `known` of one set-up; its surrogates are fitted once."""
 
     def __init__(self, known: Known):
         self.known = known
@@ -50,6 +50,7 @@ class Rivals:
         return centre(machine, known, measure_each=rival == SLOWEST)
 
     def _by_surrogates(self, known: Known, plan: Plan, readings: PushReadings) -> Belief | None:
+        """Return what way (a) knows after a push; None where its readings give no mu_s."""
         mu_s = combine_surrogates(self, plan.next.velocity, readings)
         if not np.isfinite(mu_s):
             return None
@@ -57,7 +58,10 @@ class Rivals:
 
 
 def combine_surrogates(rivals: Rivals, velocity: float, readings: PushReadings) -> float:
-    """mu_s by (4), (6) and (7); by (4) alone where (6) has no answer."""
+    """Return a push's mu_s by equations (4), (6) and (7), by (4) alone where (6) has no answer.
+
+    `velocity` is in m/s.
+    """
     force, distance = rivals.force, rivals.distance
     by_force = float(force.mu_s(velocity, readings.peak_force))
     by_distance = float(distance.mu_s(velocity, readings.sliding_distance))

@@ -1,4 +1,4 @@
-"""The paper's measurements (Tables I-V) and everything difffric says of them.
+"""The paper's measurements (Tables I-V), and everything that difffric says of them.
 
 "Real-Time Identification of Sliding Friction Using LabVIEW FPGA". The tables lie beside this
 module as printed; signs of Table V's errors are ours, the paper prints magnitudes.
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from importlib import resources
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from difffric.calibration.calibrate import Fit, fit
 from difffric.diagnosis.impossible_measurements import compute_lossless_bound
@@ -49,7 +49,7 @@ class Printed:
 
 
 def read_tables() -> list[Printed]:
-    """Tables I-V as printed, 26 rows in their order."""
+    """Read Tables I-V as printed, 26 rows in their order."""
     text = (
         resources.files("difffric.studies").joinpath("paper_tables.csv").read_text(encoding="utf-8")
     )
@@ -69,7 +69,7 @@ def read_tables() -> list[Printed]:
 
 
 def load_pushes() -> Pushes:
-    """The 12 pushes behind Tables I-IV: DRY at six speeds, then OILY."""
+    """Return the 12 pushes behind Tables I-IV: DRY at six speeds, then OILY."""
     rows = read_tables()
     force, distance = (
         {(r.condition, r.velocity_mm_min): r for r in rows if r.quantity == quantity}
@@ -85,8 +85,8 @@ def load_pushes() -> Pushes:
 
 
 def guess_rig(stroke: float | None = None) -> Rig:
-    """The paper's part with a first guess of what is not printed: k from equation (3)'s slope,
-    C_v = sqrt(k m), b from a damping ratio of 0.2."""
+    """Return the paper's part with a first guess of what is not printed: k from equation (3)'s
+    slope, C_v = sqrt(k m), and b from a damping ratio of 0.2. `stroke` is in metres."""
     mass = 18.9
     C_v = PUBLISHED_FORCE.C_v / from_mm_min(1.0)
     k = C_v**2 / mass
@@ -115,14 +115,18 @@ class Paper:
     """of all 24, all pushes of one speed held out at a time"""
 
     def list_rows(self) -> list[dict]:
-        """The 24 measurements of Tables I-IV, in their order."""
+        """List the 24 measurements of Tables I-IV, in their order."""
         return self._list_rows(self.identified)
 
     def _list_rows(self, identified) -> list[dict]:
-        return [_make_row(r, _find_answer(identified, r)) for r in read_tables() if r.measured is not None]
+        return [
+            _make_row(r, _find_answer(identified, r))
+            for r in read_tables()
+            if r.measured is not None
+        ]
 
     def list_weighted(self) -> list[dict]:
-        """Equation (7) for every push, with surrogates and with the model, and the optimum."""
+        """List equation (7) for every push, with surrogates and with the model, and the optimum."""
         return self._list_weighted(self.identified)
 
     def _list_weighted(self, identified) -> list[dict]:
@@ -151,7 +155,7 @@ class Paper:
         return out
 
     def list_errors(self) -> list[dict]:
-        """Mean absolute errors [%] over the six speeds: as printed, by the surrogates, and by
+        """List mean absolute errors [%] over the six speeds: as printed, by the surrogates, and by
         the model calibrated without the speed judged, with and without the unreachable
         distances. Over the measurements that have an answer: how many stands beside.
         """
@@ -213,10 +217,10 @@ class Paper:
 
 
 def study(progress: Tell = silent) -> Paper:
-    """Calibrate and identify the paper's pushes; `progress(what, share done)` is told.
+    """Calibrate and identify the paper's pushes; `progress(what, share done)` hears how far it is.
 
-    Distances above the lossless bound are left out of the calibration: no k, b and k_v can
-    give them, so they could only bend the three. A calibration with them stands beside.
+    Distances above the lossless bound are left out of the calibration: no k, b and k_v can give
+    them, so they could only bend the three. The answer has a calibration with them, too.
     """
     measured, rig = load_pushes(), guess_rig()
     impossible = measured.sliding_distance > bound_distance(measured)
@@ -262,19 +266,21 @@ def study(progress: Tell = silent) -> Paper:
 
 
 def bound_distance(measured: Pushes, ratio: float = 0.75) -> NDArray:
-    """The lossless bound on each push's d at the gauge's mu_s [m]."""
+    """Return the lossless bound on each push's d (n,) [m] at the gauge's mu_s; `ratio` is mu_k over
+    mu_s."""
     return compute_lossless_bound(measured.velocity, ratio * measured.mu_s_gauge)
 
 
 def _hide(measured: Pushes, hide_F, hide_d) -> Pushes:
-    """The same pushes with some measurements hidden: same shapes, so nothing is compiled anew."""
+    """Return the pushes with some forces and distances hidden, (n,) each. Their shapes stay, so
+    nothing is compiled anew."""
     F = np.where(hide_F, np.nan, measured.peak_force)
     d = np.where(hide_d, np.nan, measured.sliding_distance)
     return replace(measured, peak_force=F, sliding_distance=d)
 
 
 def invert_surrogate(row: Printed) -> float | None:
-    """A measurement's mu_s by the published (4) or (6)."""
+    """Return a measurement's mu_s by the published equation (4) or (6); None: not measured."""
     v = from_mm_min(row.velocity_mm_min)
     if row.measured is None:
         return None
@@ -284,14 +290,17 @@ def invert_surrogate(row: Printed) -> float | None:
 
 
 def compute_published_ratio() -> float:
-    """(7)'s ratio of ranges of the published (3) and (5) over 500-5000 mm/min, 0.05-0.30 [N/m]."""
+    """Return equation (7)'s ratio of ranges [N/m], of the published (3) and (5) over 500-5000
+    mm/min and mu_s of 0.05-0.30."""
     v, mu = np.meshgrid(from_mm_min(SPEEDS_MM_MIN), MU_S)
     F, d = PUBLISHED_FORCE.peak_force(v, mu), PUBLISHED_DISTANCE.sliding_distance(v, mu)
     return float(np.ptp(F) / np.ptp(d))
 
 
-def combine_surrogates(velocity, peak_force, sliding_distance, ratio):
-    """(4), (6) and (7) as published."""
+def combine_surrogates(
+    velocity: ArrayLike, peak_force: ArrayLike, sliding_distance: ArrayLike, ratio: float
+) -> NDArray:
+    """Return mu_s (n,) by equations (4), (6) and (7) as published, in SI units."""
     mu_F = PUBLISHED_FORCE.mu_s(velocity, peak_force)
     mu_d = PUBLISHED_DISTANCE.mu_s(velocity, sliding_distance)
     dF, dd = PUBLISHED_FORCE.slope(velocity, mu_F), PUBLISHED_DISTANCE.slope(velocity, mu_d)
@@ -299,7 +308,7 @@ def combine_surrogates(velocity, peak_force, sliding_distance, ratio):
 
 
 def find_misprints() -> list[dict]:
-    """Printed mu_s that their own formula does not give."""
+    """List the printed mu_s that their own formula does not give."""
     return [
         {
             "table": r.table,

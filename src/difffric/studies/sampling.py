@@ -60,8 +60,9 @@ class Sampler:
             raise InputError(f"{'; '.join(wrong)}: got {self}")
 
     def times(self, phase: ArrayLike, end: float, random: np.random.Generator) -> NDArray:
-        """(n, samples) instants [s] at which n runs take their samples; inf: missing. Each run has
-        one beyond `end` [s].
+        """Return the instants [s] at which n runs take their samples (n, samples); inf: missing.
+
+        Each run has one beyond `end` [s].
 
         `phase` (n,), in [0, 1), is when a sample falls due after t = 0, in units of 1 / rate.
         """
@@ -77,7 +78,7 @@ class Sampler:
         return self._preempt(due, random) if self.held else due
 
     def _preempt(self, due: NDArray, random: np.random.Generator) -> NDArray:
-        """What becomes of samples (n, samples) under hold-ups, which may overlap."""
+        """Return what becomes of samples (n, samples) [s] under hold-ups, which may overlap."""
         gap = 0.5 * self.longest / max(-np.log1p(-self.held), 1e-15)  # rarer than that is never
         first, last = due.min() - self.longest, due.max()
         mean = (last - first) / gap
@@ -98,7 +99,7 @@ DSP = Sampler(1 / 1010e-6, jitter=30e-6, held=0.05, longest=3e-3)
 
 
 class SampledPush(NamedTuple):
-    """F_p [N] and d [m] as samples give them, each (n,)."""
+    """F_p [N] and d [m] of n runs as samples give them, (n,) each."""
 
     peak_force: NDArray
     """the largest sample"""
@@ -116,14 +117,16 @@ def sample_push(
     noise: float = 0.0,
     seed: int = 0,
 ) -> SampledPush:
-    """What each of n runs over the same push reads; `phase` (n,) as for `Sampler.times`.
+    """Read F_p and d in each of n runs over the same push; `phase` (n,) as for `Sampler.times`.
 
     Contact is lost where the force is last seen to fall to `threshold` [N], and the position is
     read at that sample, exactly. `noise` [N] is a sample's standard deviation.
     """
     random = np.random.default_rng(seed)
     t = sampler.times(phase, _find_release(push), random)
-    force = np.where(np.isfinite(t), _evaluate_in_blocks(push.force, np.where(np.isfinite(t), t, -1.0)), 0)
+    force = np.where(
+        np.isfinite(t), _evaluate_in_blocks(push.force, np.where(np.isfinite(t), t, -1.0)), 0
+    )
     if noise:
         force = force + noise * random.standard_normal(t.shape)
     force = np.where(np.isfinite(t), force, -np.inf)
@@ -135,8 +138,8 @@ def sample_push(
 
 
 def estimate_friction(rig: Rig, velocity: float, seen: SampledPush) -> tuple[NDArray, NDArray]:
-    """(mu_s from the force, mu_s from the distance), each (n,), by the exact inverse of the rig's
-    model at `velocity` [m/s]. NaN: no mu_s gives the value."""
+    """Return mu_s from the force and mu_s from the distance, (n,) each, by the exact inverse of the
+    rig's model at `velocity` [m/s]. NaN: no mu_s gives the value."""
 
     def invert_all(target, quantity):
         found = invert(rig, np.full(len(target), velocity), target, quantity)
@@ -149,9 +152,11 @@ def estimate_friction(rig: Rig, velocity: float, seen: SampledPush) -> tuple[NDA
 
 
 def mean_loss(push: Trajectory, rate: float) -> float:
-    """How much the largest regular sample is below F_p [N], in the mean over the phase, to leading
-    order: `-f'' / (24 rate^2)` at a smooth peak, `|f'| / (2 rate)` where the force jumps to its
-    peak, as by the damper's step at t = 0, or from it.
+    """Return how much the largest regular sample is below F_p [N], in the mean over the phase, to
+    leading order.
+
+    That is `-f'' / (24 rate^2)` at a smooth peak, and `|f'| / (2 rate)` where the force jumps to
+    its peak, as by the damper's step at t = 0, or from it.
     """
 
     def slope(t):
@@ -167,7 +172,8 @@ def mean_loss(push: Trajectory, rate: float) -> float:
 
 
 def _find_peak(push: Trajectory) -> tuple[float, float]:
-    """When the force is largest on a grid over each segment in contact, and its spacing [s]."""
+    """Return when the force is largest [s] on a grid over each segment in contact, and the spacing
+    of that grid [s]."""
     edges = np.unique(np.minimum(np.asarray(push.segments.t), _find_release(push)))
     inset = 1e-9 * np.diff(edges)  # at an edge itself a derivative is none of one side's
     times = np.linspace(edges[:-1] + inset, edges[1:] - inset, _GRID, axis=1)
@@ -177,7 +183,7 @@ def _find_peak(push: Trajectory) -> tuple[float, float]:
 
 
 def _find_release(push: Trajectory) -> float:
-    """A time [s] by which contact is lost for good; where it is not, that of the last event."""
+    """Return a time [s] by which contact is lost for good, or else that of the last event."""
     free = np.asarray(push.segments.mode) == Mode.FREE
     t = np.asarray(push.segments.t)[free]
     t = t[np.isfinite(t)]
@@ -185,7 +191,7 @@ def _find_release(push: Trajectory) -> float:
 
 
 def _evaluate_in_blocks(function: Callable, t: NDArray) -> NDArray:
-    """A function of times (n,), at times of any number and shape."""
+    """Evaluate a function of times (n,) at times [s] of any number and shape."""
     flat = np.asarray(t, float).ravel()
     out = np.empty(-(-flat.size // _BLOCK) * _BLOCK)
     for lo in range(0, flat.size, _BLOCK):

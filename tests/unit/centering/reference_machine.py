@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from difffric.centering.machine import Readings
+from difffric.centering.machine import PushReadings
 from difffric.centering.ring import measure
 from tests.reference import rings, traces
 
@@ -40,7 +40,7 @@ class ReferenceMachine:
         self.offset = self.offset - x * np.array([math.cos(direction), math.sin(direction)])
         self.path.append(self.offset)
         force, position, twice = self.random.standard_normal(3)
-        return Readings(
+        return PushReadings(
             peak_force=course.peak_force + NOISE_FORCE * force,
             peak_force_se=NOISE_FORCE,
             sliding_distance=math.nan if d is None else d + NOISE_POSITION * position,

@@ -12,7 +12,7 @@ from difffric.centering import Belief, Known
 from difffric.centering.loop import identify_push
 from difffric.centering.machine import PushReadings, SimulatedMachine
 from difffric.centering.planning import WITHIN
-from difffric.commands.reports.centre import calibration, centre_answer
+from difffric.commands.reports.centre import assess_probabilities, describe_centering
 from difffric.rig import extended
 from difffric.studies.centering_runs import OURS, draw_rings, run_rings
 from difffric.studies.other_centering import NOMINAL, RIVALS, SLOWEST, SURROGATES
@@ -102,8 +102,10 @@ def test_a_part_that_did_not_move_tells_that_friction_is_not_small():
 
 def test_faster_than_the_other_ways():
     """Without shared code the paired study is studies/centering.py, with 500 rings."""
-    found = list(run_rings(KNOWN, draw_rings(12, seed=4), ways=(OURS, SURROGATES, NOMINAL, SLOWEST)))
-    ways = centre_answer(found, KNOWN, 4)["ways"]
+    found = list(
+        run_rings(KNOWN, draw_rings(12, seed=4), ways=(OURS, SURROGATES, NOMINAL, SLOWEST))
+    )
+    ways = describe_centering(found, KNOWN, 4)["ways"]
     assert ways[OURS]["centred"] == 1.0
     for way in (NOMINAL, SLOWEST):
         assert ways[OURS]["time_median_s"] < 2 / 3 * ways[way]["time_median_s"]
@@ -154,6 +156,6 @@ def test_the_slope_of_calibrated_statements_is_one():
     stated = random.uniform(0, 1, 4000)
     for slope in (1.0, 0.5):
         landed = random.random(4000) < 0.5 + slope * (stated - 0.5)
-        found = calibration(stated, landed.astype(float))
+        found = assess_probabilities(stated, landed.astype(float))
         assert abs(found["slope"] - slope) < 4 * found["slope_standard_error"]
         assert 0.01 < found["slope_standard_error"] < 0.05

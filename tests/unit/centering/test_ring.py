@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from difffric.centering.ring import FORM, measure, surface
+from difffric.centering.ring import FORM, evaluate_surface, measure
 from difffric.centering.ring_csv import load_ring, write_ring
 from difffric.errors import InputError
 from tests.reference import rings
@@ -53,7 +53,7 @@ def test_exact_readings_of_a_lobed_ring_give_its_lobes_back():
     assert np.hypot(ring.x - centre[0], ring.y - centre[1]) < 1e-9
     for n in range(2, 7):
         assert ring.lobes[n - 2] == pytest.approx(lobes.get(n, (0, 0)), abs=1e-9)
-    assert surface(ring, angle) == pytest.approx(radius, abs=1e-9)
+    assert evaluate_surface(ring, angle) == pytest.approx(radius, abs=1e-9)
 
 
 def test_at_the_direction_the_surface_is_farthest():

@@ -9,7 +9,7 @@ import pytest
 
 import difffric as df
 from difffric.commands.reports.page import write_folder
-from difffric.commands.reports.paper import paper_report
+from difffric.commands.reports.paper import report_paper
 from difffric.identification.surrogates import PUBLISHED_DISTANCE, PUBLISHED_FORCE, weighted
 from difffric.output_folder import to_json_types
 from difffric.simulation.families import family
@@ -26,9 +26,9 @@ def study():
 
 
 def test_23_of_24_printed_values_follow_from_their_formulas():
-    rows = [r for r in paper.printed() if r.measured is not None]
+    rows = [r for r in paper.read_tables() if r.measured is not None]
     assert len(rows) == 24
-    (misprint,) = paper.misprints()
+    (misprint,) = paper.find_misprints()
     assert (misprint["table"], misprint["velocity_mm_min"], misprint["printed"]) == (
         "IV",
         1000,
@@ -69,7 +69,7 @@ def test_equation_3_is_what_the_spring_and_damper_give():
 
 
 def test_the_fits_find_a_family_that_is_one_of_theirs():
-    grid = family(paper.rough_rig())
+    grid = family(paper.guess_rig())
     v, mu = np.meshgrid(grid.velocity, grid.mu_s, indexing="ij")
     force = type(PUBLISHED_FORCE).fitted(v, mu, PUBLISHED_FORCE.peak_force(v, mu))
     assert vars(force) == pytest.approx(vars(PUBLISHED_FORCE), rel=1e-9)
@@ -93,11 +93,11 @@ def test_four_measured_distances_are_beyond_any_k_b_and_k_v(study):
 
 def test_no_speed_is_judged_by_a_calibration_that_saw_it(study):
     """Wrecking the judged speed's other measurements leaves its own answer unchanged."""
-    measured = paper.pushes()
+    measured = paper.load_pushes()
     judged = measured.velocity == measured.velocity[3]
-    impossible = measured.sliding_distance > paper.bound_on(measured)
+    impossible = measured.sliding_distance > paper.bound_distance(measured)
     blind = df.fit(
-        paper.rough_rig(),
+        paper.guess_rig(),
         paper._hidden(measured, judged, impossible | judged).select(~judged),
     )
     ratio = study.families.range_ratio
@@ -110,7 +110,7 @@ def test_no_speed_is_judged_by_a_calibration_that_saw_it(study):
 
 
 def test_the_answer_has_the_contract_s_fields(study, tmp_path):
-    write_folder(tmp_path, study.as_dict(), paper_report(study))
+    write_folder(tmp_path, study.as_dict(), report_paper(study))
     answer = json.loads((tmp_path / "result.json").read_text())
     rows = answer["rows"]
     assert [r["table"] for r in rows] == ["I"] * 6 + ["II"] * 6 + ["III"] * 6 + ["IV"] * 6
@@ -143,14 +143,16 @@ def test_the_answer_has_the_contract_s_fields(study, tmp_path):
 
 @needs_chromium
 def test_the_report_shows_at_both_widths(browser, study, tmp_path):
-    write_folder(tmp_path, study.as_dict(), paper_report(study))
+    write_folder(tmp_path, study.as_dict(), report_paper(study))
     for width in WIDTHS:
         assert faults(browser, tmp_path / "report.html", width) == [], width
 
 
 def test_from_the_distance_the_model_beats_the_paper_where_it_can_reach(study):
     """2000 mm/min and above, on speeds not calibrated on: what the report's first line says."""
-    rows = [r for r in study.rows() if r["table"] in ("III", "IV") and r["velocity_mm_min"] >= 2000]
+    rows = [
+        r for r in study.list_rows() if r["table"] in ("III", "IV") and r["velocity_mm_min"] >= 2000
+    ]
     ours = np.array([abs(r["mu_s_model"] / r["mu_s_gauge"] - 1) for r in rows])
     theirs = np.array([abs(r["error_percent_printed"]) / 100 for r in rows])
     assert ours.max() < 0.06 and ours.mean() < 0.3 * theirs.mean()

@@ -14,11 +14,11 @@ import difffric as df
 from difffric.studies.sampling import (
     DSP,
     FPGA,
-    Sampled,
+    SampledPush,
     Sampler,
+    estimate_friction,
     mean_loss,
-    sampled,
-    sampled_friction,
+    sample_push,
 )
 from difffric.units import from_mm_min
 from studies import sampling as study
@@ -40,11 +40,11 @@ def push_of(velocity=SPEED, b=1500.0, stroke=None, k_v=0.0):
 
 
 def lost(push, rate, phase=PHASE):
-    return float(push.peak_force) - sampled(push, Sampler(rate), phase).peak_force
+    return float(push.peak_force) - sample_push(push, Sampler(rate), phase).peak_force
 
 
 def short(push, rate):
-    return float(push.sliding_distance) - sampled(push, Sampler(rate), PHASE).sliding_distance
+    return float(push.sliding_distance) - sample_push(push, Sampler(rate), PHASE).sliding_distance
 
 
 @settings(deadline=None, max_examples=60)
@@ -62,7 +62,7 @@ def test_without_noise_no_sample_is_above_the_peak_and_no_release_is_early(
 ):
     push = push_of(from_mm_min(speed), b)
     sampler = Sampler(rate, jitter, held, longest=2e-3)
-    seen = sampled(push, sampler, [phase], seed=seed)
+    seen = sample_push(push, sampler, [phase], seed=seed)
     assert 0 <= seen.peak_force[0] <= float(push.peak_force) * (1 + 1e-12)
     if push.reason is None and seen.peak_force[0] > 0:
         assert -1e-12 <= seen.sliding_distance[0] <= float(push.sliding_distance) + 1e-12
@@ -138,7 +138,7 @@ def test_a_threshold_is_where_the_force_falls_through_it():
     release = float(push.segments.t[-2])
     crossed = brentq(lambda t: float(push.force(t)) - level, 0.5 * release, release - 1e-9)
     d = float(push.position(push.stop_time)) - float(push.position(crossed))
-    seen = sampled(push, Sampler(1e6), PHASE, threshold=level).sliding_distance
+    seen = sample_push(push, Sampler(1e6), PHASE, threshold=level).sliding_distance
     assert (seen <= d + 1e-12).all()
     assert seen.min() > d - 2 * SPEED / 1e6
 
@@ -154,7 +154,7 @@ def test_without_jitter_and_hold_ups_samples_are_regular(rate, phase, seed, long
 def test_a_regular_sampler_reads_the_force_at_its_instants():
     push = push_of()
     for phase in (0.0, 0.3, 0.99):
-        seen = sampled(push, Sampler(2e3, longest=1e-3), [phase], seed=3)
+        seen = sample_push(push, Sampler(2e3, longest=1e-3), [phase], seed=3)
         t = (np.arange(40) + phase) / 2e3
         force = np.asarray(push.force(t))
         assert seen.peak_force[0] == pytest.approx(force.max(), rel=1e-14)
@@ -199,7 +199,7 @@ def test_noise_makes_the_largest_sample_too_high_and_the_more_the_faster():
     push = push_of()
     excess = []
     for rate in (2e3, 2e4, 2e5):
-        seen = sampled(push, Sampler(rate), PHASE, noise=0.5, threshold=2.5)
+        seen = sample_push(push, Sampler(rate), PHASE, noise=0.5, threshold=2.5)
         excess.append(float(seen.peak_force.mean() - push.peak_force))
     assert excess == sorted(excess)
     assert excess[-1] > 2 * 0.5
@@ -209,11 +209,11 @@ def test_mu_s_comes_back_from_exact_readings_and_from_none():
     push = push_of(k_v=5.0)
     rig = push.push.rig
     F_p, d = float(push.peak_force), float(push.sliding_distance)
-    found = sampled_friction(rig, SPEED, Sampled(np.array([F_p, 1.0]), np.array([d, np.nan])))
+    found = estimate_friction(rig, SPEED, SampledPush(np.array([F_p, 1.0]), np.array([d, np.nan])))
     for mu_s in found:
         assert mu_s[0] == pytest.approx(SMOOTH["mu_s"], rel=1e-9)
         assert np.isnan(mu_s[1])
-    by_force, by_distance = sampled_friction(rig, SPEED, sampled(push, FPGA, PHASE))
+    by_force, by_distance = estimate_friction(rig, SPEED, sample_push(push, FPGA, PHASE))
     assert np.abs(by_force / SMOOTH["mu_s"] - 1).max() < 1e-5
     assert np.abs(by_distance / SMOOTH["mu_s"] - 1).max() < 3e-4
 
@@ -221,7 +221,7 @@ def test_mu_s_comes_back_from_exact_readings_and_from_none():
 def test_a_part_that_is_never_released_has_a_peak_and_no_distance():
     push = push_of(from_mm_min(500.0), b=6000.0)
     assert push.reason and push.reason.startswith("never released")
-    seen = sampled(push, DSP, PHASE)
+    seen = sample_push(push, DSP, PHASE)
     assert np.isnan(seen.sliding_distance).all()
     assert (seen.peak_force > 0).all()
 

@@ -11,25 +11,27 @@ from numpy.typing import NDArray
 from difffric.centering.planning import Known
 from difffric.commands import figures
 from difffric.commands.reports.page import Picture, Report, Section, Table
-from difffric.commands.reports.plan import step_answer
+from difffric.commands.reports.plan import describe_push
 from difffric.number_text import format_number
 from difffric.studies.centering_runs import OURS, CenteringRun, summarize_ways
 from difffric.studies.other_centering import RIVALS
 from difffric.units import to_um
 
 
-def centre_answer(found: Sequence[CenteringRun], known: Known, seed: int) -> dict:
+def describe_centering(found: Sequence[CenteringRun], known: Known, seed: int) -> dict:
     """All runs, as `difffric centre` writes them."""
     return {
         "within_m": known.within,
         "seed": seed,
         "ways": summarize_ways(found, known.within),
-        "calibration": calibration(*_pairs([r for r in found if r.way == OURS], known)),
-        "runs": [_run(r, known) for r in found],
+        "calibration": assess_probabilities(
+            *_pair_outcomes([r for r in found if r.way == OURS], known)
+        ),
+        "runs": [_describe_run(r, known) for r in found],
     }
 
 
-def _run(r: CenteringRun, known: Known) -> dict:
+def _describe_run(r: CenteringRun, known: Known) -> dict:
     c = r.centering
     return {
         "way": r.way,
@@ -44,9 +46,9 @@ def _run(r: CenteringRun, known: Known) -> dict:
         "notes": list(c.notes),
         "pushes": [
             {
-                **step_answer(p.plan.next),
-                "peak_force_N": _none(p.readings.peak_force),
-                "sliding_distance_m": _none(p.readings.sliding_distance),
+                **describe_push(p.plan.next),
+                "peak_force_N": _drop_nan(p.readings.peak_force),
+                "sliding_distance_m": _drop_nan(p.readings.sliding_distance),
                 "displacement_m": p.readings.displacement,
                 "mu_s_identified": p.mu_s,
                 "mu_s_known": p.known_mu_s[0],
@@ -59,11 +61,11 @@ def _run(r: CenteringRun, known: Known) -> dict:
     }
 
 
-def _none(x: float) -> float | None:
+def _drop_nan(x: float) -> float | None:
     return float(x) if np.isfinite(x) else None
 
 
-def calibration(stated: NDArray, landed: NDArray) -> dict:
+def assess_probabilities(stated: NDArray, landed: NDArray) -> dict:
     """Stated probabilities of landing against how often the ring did: the slope of a straight
     line through the outcomes, its standard error, and the shares in ten bins."""
     out: dict = {"pushes": len(stated), "slope": None, "slope_standard_error": None, "bins": []}
@@ -83,14 +85,16 @@ def calibration(stated: NDArray, landed: NDArray) -> dict:
     return out
 
 
-def _pairs(found: Sequence[CenteringRun], known: Known):
+def _pair_outcomes(found: Sequence[CenteringRun], known: Known):
     """(the stated probability of each push, whether it landed)."""
     stated = [p.plan.next.probability for r in found for p in r.centering.pushes]
     landed = [inside for r in found for inside in r.within(known.within)]
     return np.array(stated), np.array(landed, float)
 
 
-def centre_report(answer: dict, found: Sequence[CenteringRun], known: Known, pictures: bool) -> Report:
+def report_centering(
+    answer: dict, found: Sequence[CenteringRun], known: Known, pictures: bool
+) -> Report:
     """All runs for a person."""
     ways, ours = answer["ways"], answer["ways"][OURS]
     within = f"{to_um(known.within):g} µm"
@@ -122,7 +126,7 @@ def centre_report(answer: dict, found: Sequence[CenteringRun], known: Known, pic
         tables.append(Table(caption, ("pushes", "stated", "seen"), rows))
     notes = sorted({note for r in found for note in r.centering.notes if r.way == OURS})
     first = next(r for r in found if r.way == OURS)
-    tables.append(_one(first, known))
+    tables.append(_tabulate_ring(first, known))
     drawn = []
     if pictures:
         drawn = [
@@ -137,7 +141,7 @@ def centre_report(answer: dict, found: Sequence[CenteringRun], known: Known, pic
                 "How long each way takes to centre the rings, as shares of them; what never "
                 "reaches 1 did not centre all.",
                 figures.plan.draw_times(
-                    {way: _times([r for r in found if r.way == way], known) for way in ways}
+                    {way: _find_times([r for r in found if r.way == way], known) for way in ways}
                 ),
             ),
         ]
@@ -149,12 +153,12 @@ def centre_report(answer: dict, found: Sequence[CenteringRun], known: Known, pic
     return Report("Rings centred", summary, [Section("Rings", text, tables, drawn)])
 
 
-def _times(found: Sequence[CenteringRun], known: Known) -> list[float]:
+def _find_times(found: Sequence[CenteringRun], known: Known) -> list[float]:
     """Infinite where the ring was not centred."""
     return [r.centering.time if r.is_centred(known.within) else np.inf for r in found]
 
 
-def _one(r: CenteringRun, known: Known) -> Table:
+def _tabulate_ring(r: CenteringRun, known: Known) -> Table:
     rows = []
     for i, (p, at) in enumerate(zip(r.centering.pushes, r.path[1:], strict=True), 1):
         s = p.plan.next

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from difffric.commands import figures
-from difffric.commands.reports.diagnose import considered_table
+from difffric.commands.reports.diagnose import tabulate_considered
 from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table
 from difffric.number_text import format_number, format_with_error
 from difffric.rig import parameters
@@ -16,11 +16,11 @@ from difffric.studies.paper import Paper, find_misprints
 from difffric.units import to_mm, to_mm_min, to_um
 
 
-def paper_report(paper: Paper) -> Report:
+def report_paper(paper: Paper) -> Report:
     """The paper's measurements for a person."""
     return Report(
         "The paper's measurements, by equation (2)",
-        _paper_summary(paper),
+        _summarise(paper),
         [
             Section(
                 "mu_s of the 24 measurements",
@@ -28,7 +28,7 @@ def paper_report(paper: Paper) -> Report:
                     "Each speed is judged by a calibration that has not seen it. Errors are "
                     "against the gauge.",
                 ),
-                [_errors_table(paper), _rows_table(paper), _weighted_table(paper)],
+                [_tabulate_errors(paper), _tabulate_rows(paper), _tabulate_weighted(paper)],
                 [
                     Picture(
                         "identified",
@@ -45,7 +45,7 @@ def paper_report(paper: Paper) -> Report:
                     "above it in both conditions alike: what DRY and OILY share points at the "
                     "rig, not at the friction. These four are left out of the calibration.",
                 ),
-                [_misfit_table(paper)],
+                [_tabulate_misfit(paper)],
                 [
                     Picture(
                         "residuals",
@@ -56,8 +56,8 @@ def paper_report(paper: Paper) -> Report:
             ),
             Section(
                 "Which cause",
-                _diagnosis_text(paper),
-                [considered_table(paper.diagnosis, "gain, speeds held out")],
+                _describe_diagnosis(paper),
+                [tabulate_considered(paper.diagnosis, "gain, speeds held out")],
             ),
             Section(
                 "Calibration",
@@ -66,15 +66,15 @@ def paper_report(paper: Paper) -> Report:
                     "from the residuals. " + NO_STROKE + " The last rows say how much a stroke "
                     "would change.",
                 ),
-                [_calibration_table(paper)],
+                [_tabulate_calibration(paper)],
             ),
-            Section("Misprints", (), [_misprints_table()]),
-            Section("The paper's figures", (), (), _paper_figures(paper)),
+            Section("Misprints", (), [_tabulate_misprints()]),
+            Section("The paper's figures", (), (), _draw_figures(paper)),
         ],
     )
 
 
-def _diagnosis_text(paper: Paper) -> tuple[str, ...]:
+def _describe_diagnosis(paper: Paper) -> tuple[str, ...]:
     found = paper.diagnosis
     asked = [found.causes[0].id, *found.causes[0].confusable_with] if found.causes else []
     out = [c.id for c in found.considered if c.id not in asked]
@@ -94,7 +94,7 @@ def _diagnosis_text(paper: Paper) -> tuple[str, ...]:
     )
 
 
-def _paper_summary(paper: Paper) -> list[str]:
+def _summarise(paper: Paper) -> list[str]:
     errors = {(e["condition"], e["by"]): e for e in paper.list_errors()}
     fast = [
         abs(r["mu_s_model"] / r["mu_s_gauge"] - 1) * 100
@@ -118,7 +118,7 @@ def _paper_summary(paper: Paper) -> list[str]:
     ]
 
 
-def _errors_table(paper: Paper) -> Table:
+def _tabulate_errors(paper: Paper) -> Table:
     rows = [
         [
             f"{e['condition']}, {e['by']}",
@@ -134,7 +134,7 @@ def _errors_table(paper: Paper) -> Table:
     return Table("Mean absolute error of mu_s over six speeds [%]", columns, rows)
 
 
-def _rows_table(paper: Paper) -> Table:
+def _tabulate_rows(paper: Paper) -> Table:
     rows = []
     for r in paper.list_rows():
         force = r["quantity"] == "peak_force_N"
@@ -154,7 +154,7 @@ def _rows_table(paper: Paper) -> Table:
     return Table("Tables I-IV", columns, rows)
 
 
-def _weighted_table(paper: Paper) -> Table:
+def _tabulate_weighted(paper: Paper) -> Table:
     rows = [
         [
             r["condition"],
@@ -175,7 +175,7 @@ def _weighted_table(paper: Paper) -> Table:
     return Table("Table V, at every speed", columns, rows)
 
 
-def _misfit_table(paper: Paper) -> Table:
+def _tabulate_misfit(paper: Paper) -> Table:
     rows = [
         [
             m["condition"],
@@ -191,8 +191,8 @@ def _misfit_table(paper: Paper) -> Table:
     return Table("Measured minus model at the gauge's mu_s", columns, rows)
 
 
-def _calibration_table(paper: Paper) -> Table:
-    def row(name, fit) -> Sequence[str]:
+def _tabulate_calibration(paper: Paper) -> Table:
+    def list_row(name, fit) -> Sequence[str]:
         values = []
         for parameter in fit.free:
             error = fit.standard_error(parameter)
@@ -208,15 +208,20 @@ def _calibration_table(paper: Paper) -> Table:
             "yes" if fit.converged else "no",
         ]
 
-    rows = [row("20 reachable measurements", paper.calibration), row("all 24", paper.on_all)]
-    rows += [row(f"20, stroke {to_mm(stroke):g} mm", fit) for stroke, fit in paper.strokes.items()]
+    rows = [
+        list_row("20 reachable measurements", paper.calibration),
+        list_row("all 24", paper.on_all),
+    ]
+    rows += [
+        list_row(f"20, stroke {to_mm(stroke):g} mm", fit) for stroke, fit in paper.strokes.items()
+    ]
     columns = (
         "", "k [N/m]", "b [N s/m]", "k_v [N s/m]", "spread F_p [N]", "spread d [µm]", "converged",
     )  # fmt: skip
     return Table("Calibrations", columns, rows)
 
 
-def _misprints_table() -> Table:
+def _tabulate_misprints() -> Table:
     rows = [
         [m["table"], f"{m['velocity_mm_min']:.0f}", f"{m['printed']:.3f}", f"{m['recomputed']:.4f}"]
         for m in find_misprints()
@@ -225,7 +230,7 @@ def _misprints_table() -> Table:
     return Table("Printed mu_s that (4) or (6) does not give", columns, rows)
 
 
-def _paper_figures(paper: Paper) -> list[Picture]:
+def _draw_figures(paper: Paper) -> list[Picture]:
     speed = paper.pushes.velocity[3]
     push = {}
     for condition in ("DRY", "OILY"):
