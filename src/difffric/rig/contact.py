@@ -5,18 +5,17 @@ branches, because one smooth right-hand side a mode is what makes derivatives ex
 The effects below are laws around a law.
 """
 
-from __future__ import annotations
+# No `from __future__ import annotations`: Equinox does not see an AbstractVar in text.
 
 import abc
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool
 
 from difffric.compute.smooth_extension import power
-
-Number = Float[Array, ""] | float
+from difffric.rig.number import Number
 
 
 class AbstractContact(eqx.Module):
@@ -33,33 +32,33 @@ class AbstractContact(eqx.Module):
     """whether both are smooth a little beyond z = 0, where a step may look for the event"""
 
     @abc.abstractmethod
-    def approach(self, z: Float[Array, ""], w: Float[Array, ""]) -> Float[Array, ""]:
+    def approach(self, z: Number, w: Number) -> Number:
         """Contact force [N] for z >= 0, w >= 0."""
 
-    def rebound(self, z: Float[Array, ""], w: Float[Array, ""]) -> Float[Array, ""]:
+    def rebound(self, z: Number, w: Number) -> Number:
         """Contact force [N] for z >= 0, w < 0."""
         return self.approach(z, w)
 
-    def edge(self, w: Float[Array, ""]) -> Float[Array, ""]:
+    def edge(self, w: Number) -> Number:
         """The compression [m] at which contact is lost in a rebound at w < 0; 0 for w >= 0."""
         return jnp.zeros_like(w)
 
     @property
-    def gap(self):
+    def gap(self) -> Number:
         """How far the tip starts from the part [m]."""
         return 0.0
 
     @property
-    def rough(self):
+    def rough(self) -> Bool[Array, ""]:
         """Whether the law may not be smooth at z = 0, as a power is not."""
         return jnp.asarray(True)
 
     @property
-    def damped(self):
+    def damped(self) -> Bool[Array, ""]:
         """Whether `edge` may lie beyond z = 0."""
         return jnp.asarray(False)
 
-    def __call__(self, z, w):
+    def __call__(self, z: Number, w: Number) -> Number:
         """The whole law: both branches and the loss of contact."""
         pushed = jnp.where(w >= 0, self.approach(z, w), self.rebound(z, w))
         return jnp.where(z >= self.edge(w), pushed, 0.0)
@@ -75,102 +74,105 @@ class UnilateralSpringDamper(AbstractContact):
     affine: ClassVar[bool] = True
     continues: ClassVar[bool] = True
 
-    def approach(self, z, w):
+    def approach(self, z: Number, w: Number) -> Number:
         return self.b * w + self.k * z
 
-    def rebound(self, z, w):
+    def rebound(self, z: Number, w: Number) -> Number:
         return self.k * z
 
     @property
-    def rough(self):
+    def rough(self) -> Bool[Array, ""]:
         return jnp.asarray(False)
 
 
-class ContactEffect(AbstractContact):
+class AbstractContactEffect(AbstractContact):
     """A law around another one, `law`; what an effect does not override is that law's own."""
 
-    law: Any
+    law: eqx.AbstractVar[AbstractContact]
 
     @property
-    def continues(self) -> bool:  # type: ignore[override]
+    def continues(self) -> bool:
         return self.law.continues
 
-    def approach(self, z, w):
+    def approach(self, z: Number, w: Number) -> Number:
         return self.law.approach(z, w)
 
-    def rebound(self, z, w):
+    def rebound(self, z: Number, w: Number) -> Number:
         return self.law.rebound(z, w)
 
-    def edge(self, w):
+    def edge(self, w: Number) -> Number:
         return self.law.edge(w)
 
     @property
-    def gap(self):
+    def gap(self) -> Number:
         return self.law.gap
 
     @property
-    def rough(self):
+    def rough(self) -> Bool[Array, ""]:
         return self.law.rough
 
     @property
-    def damped(self):
+    def damped(self) -> Bool[Array, ""]:
         return self.law.damped
 
 
-class ReboundDamping(ContactEffect):
+class ReboundDamping(AbstractContactEffect):
     """A share of the damper acts on rebound too: `k z + share b w` for w < 0, never below zero.
 
     What the law's damper does on approach is taken to be linear in w. 0 <= share <= 1; null: 0.
     """
 
+    law: AbstractContact
     share: Number = 0.0
 
     @property
-    def damped(self):
+    def damped(self) -> Bool[Array, ""]:
         return jnp.asarray(self.share) > 0
 
-    def rebound(self, z, w):
+    def rebound(self, z: Number, w: Number) -> Number:
         damper = self.law.approach(z, w) - self.law.approach(z, jnp.zeros_like(w))
         return self.law.rebound(z, w) + self.share * damper
 
-    def edge(self, w):
+    def edge(self, w: Number) -> Number:
         zero = jnp.zeros_like(w)
         damper = self.law.approach(zero, jnp.minimum(w, 0.0)) - self.law.approach(zero, zero)
         stiffness = self.law.rebound(zero + 1.0, zero) - self.law.rebound(zero, zero)
         return self.law.edge(w) - self.share * damper / stiffness
 
 
-class Hardening(ContactEffect):
+class Hardening(AbstractContactEffect):
     """A spring that stiffens: `k z_r (z / z_r)^n` in place of `k z` (Hertz: n = 1.5; Johnson,
     Contact Mechanics, Cambridge 1985, ch. 4).
 
     n >= 1; null: n = 1. z_r = 1e-4 m: there the forces of all n are equal.
     """
 
+    law: AbstractContact
     exponent: Number = 1.0
     z_r: ClassVar[float] = 1e-4
 
     @property
-    def rough(self):
+    def rough(self) -> Bool[Array, ""]:
         return jnp.asarray(self.exponent != 1.0)
 
-    def _softened(self, z):
+    def _soften(self, z: Number) -> Number:
         return self.z_r * power(z / self.z_r, self.exponent)
 
-    def approach(self, z, w):
-        return self.law.approach(self._softened(z), w)
+    def approach(self, z: Number, w: Number) -> Number:
+        return self.law.approach(self._soften(z), w)
 
-    def rebound(self, z, w):
-        return self.law.rebound(self._softened(z), w)
+    def rebound(self, z: Number, w: Number) -> Number:
+        return self.law.rebound(self._soften(z), w)
 
-    def edge(self, w):
+    def edge(self, w: Number) -> Number:
         return self.z_r * power(self.law.edge(w) / self.z_r, 1.0 / self.exponent)
 
 
-class InitialGap(ContactEffect):
+class InitialGap(AbstractContactEffect):
     """The pusher starts a gap away and strikes the part; its stroke includes the gap.
 
     gap >= 0 [m]; null: 0.
     """
 
-    gap: Number = 0.0  # type: ignore[assignment]
+    law: AbstractContact
+    gap: Number = 0.0

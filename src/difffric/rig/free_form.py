@@ -17,12 +17,18 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from difffric.rig.catalogue import CONTACT, FORCE, FRICTION, PROBE, PUSHER
-from difffric.rig.contact import ContactEffect
-from difffric.rig.friction import FrictionEffect
-from difffric.rig.pusher import PusherEffect
+from difffric.rig.contact import AbstractContact, AbstractContactEffect
+from difffric.rig.friction import AbstractFriction, AbstractFrictionEffect
+from difffric.rig.number import Number, Truth
+from difffric.rig.pusher import AbstractPusher, AbstractPusherEffect
 from difffric.rig.rig import Rig
 from difffric.rig.scales import Scales
-from difffric.rig.sensors import ForceEffect, ProbeEffect
+from difffric.rig.sensors import (
+    AbstractForceEffect,
+    AbstractForceSensor,
+    AbstractProbe,
+    AbstractProbeEffect,
+)
 
 SPLINES = 8
 """How many make up a curve."""
@@ -36,7 +42,7 @@ class Curve(eqx.Module):
     end: Any
     bend: Any
 
-    def __call__(self, x):
+    def __call__(self, x: Number) -> Number:
         s = jnp.log1p(jnp.maximum(x, 0.0) / self.bend) / jnp.log1p(self.end / self.bend)
         at = jnp.minimum(s, 1.0)[..., None] * (SPLINES - 1) - jnp.arange(SPLINES)
         away = jnp.abs(at)
@@ -44,64 +50,70 @@ class Curve(eqx.Module):
         return jnp.sum(self.c * B, axis=-1)
 
 
-class FreeSpeed(FrictionEffect):
+class FreeSpeed(AbstractFrictionEffect):
     """Sliding friction corrected over the speed: `mu_k (1 + g(u))`."""
 
+    law: AbstractFriction
     g: Any = None
-    affine: ClassVar[bool] = False  # type: ignore[assignment]
+    affine: ClassVar[bool] = False
 
-    def sliding(self, u, F_N):
+    def sliding(self, u: Number, F_N: Number) -> Number:
         return self.law.sliding(u, F_N) + self.g(u) * self.law.sliding(jnp.zeros_like(u), F_N)
 
 
-class FreePlace(FrictionEffect):
+class FreePlace(AbstractFrictionEffect):
     """Friction corrected over the position: `mu (1 + g(x))`."""
 
+    law: AbstractFriction
     g: Any = None
-    affine: ClassVar[bool] = False  # type: ignore[assignment]
-    uneven: ClassVar[bool] = True  # type: ignore[assignment]
+    affine: ClassVar[bool] = False
+    uneven: ClassVar[bool] = True
 
-    def load(self, weight, x, beyond):
+    def load(self, weight: Number, x: Number, beyond: Truth) -> Number:
         return self.law.load(weight, x, beyond) * (1 + self.g(x))
 
 
-class FreeSpring(ContactEffect):
+class FreeSpring(AbstractContactEffect):
     """The spring corrected over the compression: `k z (1 + g(z))`."""
 
+    law: AbstractContact
     g: Any = None
 
-    def approach(self, z, w):
+    def approach(self, z: Number, w: Number) -> Number:
         return self.law.approach(z * (1 + self.g(z)), w)
 
-    def rebound(self, z, w):
+    def rebound(self, z: Number, w: Number) -> Number:
         return self.law.rebound(z * (1 + self.g(z)), w)
 
 
-class FreeTravel(PusherEffect):
+class FreeTravel(AbstractPusherEffect):
     """The tip's speed corrected over its travel: `v (1 + g(y))`."""
 
+    law: AbstractPusher
     g: Any = None
-    constant: ClassVar[bool] = False  # type: ignore[assignment]
+    constant: ClassVar[bool] = False
 
-    def ripple(self, y):
+    def ripple(self, y: Number) -> Number:
         return self.law.ripple(y) * (1 + self.g(y))
 
 
-class FreeForce(ForceEffect):
+class FreeForce(AbstractForceEffect):
     """The reading corrected over the force: `f (1 + g(|f|))`."""
 
+    law: AbstractForceSensor
     g: Any = None
 
-    def read(self, f):
+    def read(self, f: Number) -> Number:
         return self.law.read(f * (1 + self.g(jnp.abs(f))))
 
 
-class FreeProbe(ProbeEffect):
+class FreeProbe(AbstractProbeEffect):
     """The probe's reading corrected over the position: `x (1 + g(x))`."""
 
+    law: AbstractProbe
     g: Any = None
 
-    def read(self, x):
+    def read(self, x: Number) -> Number:
         return self.law.read(x * (1 + self.g(x)))
 
 

@@ -3,19 +3,17 @@
 The effects below are laws around a law: each changes what it is about and hands on the rest.
 """
 
-from __future__ import annotations
+# No `from __future__ import annotations`: Equinox does not see an AbstractVar in text.
 
 import abc
 from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from difffric.compute.elementary_functions import sin_cos
 from difffric.compute.smooth_extension import power
-
-Number = Float[Array, ""] | float
+from difffric.rig.number import Number, Truth
 
 
 class AbstractFriction(eqx.Module):
@@ -35,30 +33,30 @@ class AbstractFriction(eqx.Module):
     """whether `sliding` is smooth a little beyond u = 0, where a step may look for the halt"""
 
     @abc.abstractmethod
-    def sliding(self, u: Float[Array, ""], F_N: Float[Array, ""]) -> Float[Array, ""]:
+    def sliding(self, u: Number, F_N: Number) -> Number:
         """Friction force [N] on a part that slides at speed u > 0 [m/s] under F_N [N]."""
 
     @abc.abstractmethod
-    def breakaway(self, F_N: Float[Array, ""]) -> Float[Array, ""]:
+    def breakaway(self, F_N: Number) -> Number:
         """F_S, the force [N] at which a part at rest starts to slide."""
 
-    def first_breakaway(self, F_N):
+    def first_breakaway(self, F_N: Number) -> Number:
         """F_S of a part that has rested since before the push [N]."""
         return self.breakaway(F_N)
 
-    def load(self, weight, x, beyond):
+    def load(self, weight: Number, x: Number, beyond: Truth) -> Number:
         """Normal force [N] at the position x [m] under a weight [N].
 
         `beyond`: whether the part is past `edge`, where the load may jump.
         """
         return weight
 
-    def slope(self, weight):
+    def slope(self, weight: Number) -> Number:
         """What gravity itself holds against the push [N]."""
         return 0.0
 
     @property
-    def edge(self):
+    def edge(self) -> Number:
         """The position at which the load jumps [m]."""
         return jnp.inf
 
@@ -77,145 +75,151 @@ class ViscousCoulomb(AbstractFriction):
     continues: ClassVar[bool] = True
 
     @property
-    def mu_k(self):
+    def mu_k(self) -> Number:
         """Coefficient of sliding friction."""
         return self.mu_k_over_mu_s * self.mu_s
 
-    def sliding(self, u, F_N):
+    def sliding(self, u: Number, F_N: Number) -> Number:
         return self.mu_k * F_N + self.k_v * u
 
-    def breakaway(self, F_N):
+    def breakaway(self, F_N: Number) -> Number:
         return self.mu_s * F_N
 
 
-class FrictionEffect(AbstractFriction):
+class AbstractFrictionEffect(AbstractFriction):
     """A law around another one, `law`; what an effect does not override is that law's own."""
 
-    law: Any
+    law: eqx.AbstractVar[AbstractFriction]
 
     @property
-    def affine(self) -> bool:  # type: ignore[override]
+    def affine(self) -> bool:
         """An effect that bends its law sets this to False."""
         return self.law.affine
 
     @property
-    def uneven(self) -> bool:  # type: ignore[override]
+    def uneven(self) -> bool:
         return self.law.uneven
 
     @property
-    def continues(self) -> bool:  # type: ignore[override]
+    def continues(self) -> bool:
         return self.law.continues
 
-    def sliding(self, u, F_N):
+    def sliding(self, u: Number, F_N: Number) -> Number:
         return self.law.sliding(u, F_N)
 
-    def breakaway(self, F_N):
+    def breakaway(self, F_N: Number) -> Number:
         return self.law.breakaway(F_N)
 
-    def first_breakaway(self, F_N):
+    def first_breakaway(self, F_N: Number) -> Number:
         return self.law.first_breakaway(F_N)
 
-    def load(self, weight, x, beyond):
+    def load(self, weight: Number, x: Number, beyond: Truth) -> Number:
         return self.law.load(weight, x, beyond)
 
-    def slope(self, weight):
+    def slope(self, weight: Number) -> Number:
         return self.law.slope(weight)
 
     @property
-    def edge(self):
+    def edge(self) -> Number:
         return self.law.edge
 
 
-class Tilt(FrictionEffect):
+class Tilt(AbstractFrictionEffect):
     """Rails tilted by alpha: `m g sin(alpha)` resists for alpha > 0, and F_N = m g cos(alpha).
 
     alpha [rad]; null: 0. The part must not slide by itself: |tan(alpha)| < mu_k.
     """
 
+    law: AbstractFriction
     alpha: Number = 0.0
 
-    def load(self, weight, x, beyond):
+    def load(self, weight: Number, x: Number, beyond: Truth) -> Number:
         return self.law.load(weight * jnp.cos(self.alpha), x, beyond)
 
-    def slope(self, weight):
+    def slope(self, weight: Number) -> Number:
         return self.law.slope(weight) + weight * jnp.sin(self.alpha)
 
 
-class ExtraLoad(FrictionEffect):
+class ExtraLoad(AbstractFrictionEffect):
     """A constant normal force beside the weight's: `F_N = m g + extra`.
 
     extra [N], either sign, F_N > 0; null: 0.
     """
 
+    law: AbstractFriction
     extra: Number = 0.0
 
-    def load(self, weight, x, beyond):
+    def load(self, weight: Number, x: Number, beyond: Truth) -> Number:
         return self.law.load(weight, x, beyond) + self.extra
 
 
-class Drift(FrictionEffect):
+class Drift(AbstractFrictionEffect):
     """mu changes linearly over the order of the pushes: `mu (1 + drift s)`, s from 0 at the
     first push to 1 at the last. mu_s and mu_k alike.
 
     drift > -1; `share` is the push's s; null: drift = 0.
     """
 
+    law: AbstractFriction
     drift: Number = 0.0
     share: Number = 0.0
 
-    def load(self, weight, x, beyond):
+    def load(self, weight: Number, x: Number, beyond: Truth) -> Number:
         # mu acts through mu F_N alone.
         return self.law.load(weight, x, beyond) * (1 + self.drift * self.share)
 
 
-class Waviness(FrictionEffect):
+class Waviness(AbstractFrictionEffect):
     """Friction that waves along the rails: `mu (1 + a sin(2 pi x / lambda + phi))`.
 
     a < 1, lambda > 0 [m], phi [rad]; null: a = 0.
     """
 
+    law: AbstractFriction
     amplitude: Number = 0.0
     wavelength: Number = 1e-3
     phase: Number = 0.0
-    affine: ClassVar[bool] = False  # type: ignore[assignment]
-    uneven: ClassVar[bool] = True  # type: ignore[assignment]
+    affine: ClassVar[bool] = False
+    uneven: ClassVar[bool] = True
 
-    def load(self, weight, x, beyond):
+    def load(self, weight: Number, x: Number, beyond: Truth) -> Number:
         wave, _ = sin_cos(2 * jnp.pi * x / self.wavelength + self.phase)
         return self.law.load(weight, x, beyond) * (1 + self.amplitude * wave)
 
 
-class Patch(FrictionEffect):
+class Patch(AbstractFrictionEffect):
     """Friction that changes at a place: `mu (1 + a)` beyond x_p.
 
     a > -1, x_p [m]; null: a = 0.
     """
 
+    law: AbstractFriction
     amplitude: Number = 0.0
     start: Number = jnp.inf
-    affine: ClassVar[bool] = False  # type: ignore[assignment]
-    uneven: ClassVar[bool] = True  # type: ignore[assignment]
+    affine: ClassVar[bool] = False
+    uneven: ClassVar[bool] = True
 
-    def load(self, weight, x, beyond):
+    def load(self, weight: Number, x: Number, beyond: Truth) -> Number:
         return self.law.load(weight, x, beyond) * (1 + jnp.where(beyond, self.amplitude, 0.0))
 
     @property
-    def edge(self):
+    def edge(self) -> Number:
         return self.start
 
 
-class Stribeck(FrictionEffect):
+class Stribeck(AbstractFrictionEffect):
     """Friction that falls with speed: `mu(u) = mu_k + (mu_s - mu_k) exp(-(u / v_s)^delta)`
     (Armstrong-Hélouvry, Dupont and Canudas de Wit, Automatica 30, 1994, 1083).
 
     v_s >= 0 [m/s], delta > 0 (None: 2); null: v_s = 0, where mu(u) = mu_k for every u > 0.
     """
 
+    law: AbstractFriction
     v_s: Number = 0.0
     delta: Number | None = None
-    affine: ClassVar[bool] = False  # type: ignore[assignment]
+    affine: ClassVar[bool] = False
 
-    def sliding(self, u, F_N):
+    def sliding(self, u: Number, F_N: Number) -> Number:
         falls = self.v_s > 0
         ratio = u / jnp.where(falls, self.v_s, 1.0)
         bent = ratio * ratio  # even in u, for any delta
@@ -225,20 +229,21 @@ class Stribeck(FrictionEffect):
         return self.law.sliding(u, F_N) + jnp.where(falls, rise * jnp.exp(-bent), 0.0)
 
 
-class QuadraticDrag(FrictionEffect):
+class QuadraticDrag(AbstractFrictionEffect):
     """Drag that grows as the square of the speed: `+ c u^2`.
 
     c >= 0 [N s^2/m^2]; null: 0.
     """
 
+    law: AbstractFriction
     c: Number = 0.0
-    affine: ClassVar[bool] = False  # type: ignore[assignment]
+    affine: ClassVar[bool] = False
 
-    def sliding(self, u, F_N):
+    def sliding(self, u: Number, F_N: Number) -> Number:
         return self.law.sliding(u, F_N) + self.c * u * u
 
 
-class Dwell(FrictionEffect):
+class Dwell(AbstractFrictionEffect):
     """Static friction that has grown at rest: `mu_s (1 + a ln(1 + t_rest / tau))` before the
     push (Dieterich, Pure and Applied Geophysics 116, 1978, 790). mu_k, and a halt within the push,
     are as without.
@@ -246,18 +251,19 @@ class Dwell(FrictionEffect):
     a >= 0, tau > 0 [s], rest >= 0 [s] the push's own; null: a = 0.
     """
 
+    law: AbstractFriction
     amplitude: Number = 0.0
     tau: Number = 1.0
     rest: Number = 0.0
-    affine: ClassVar[bool] = False  # type: ignore[assignment]
-    uneven: ClassVar[bool] = True  # type: ignore[assignment]
+    affine: ClassVar[bool] = False
+    uneven: ClassVar[bool] = True
 
-    def first_breakaway(self, F_N):
+    def first_breakaway(self, F_N: Number) -> Number:
         grown = 1 + self.amplitude * jnp.log1p(self.rest / self.tau)
         return self.law.first_breakaway(F_N) * grown
 
 
-class Presliding(FrictionEffect):
+class Presliding(AbstractFrictionEffect):
     """Bristles that bend before they slip, and replace the stuck mode (LuGre: Canudas de Wit,
     Olsson, Åström and Lischinsky, IEEE Trans. Automatic Control 40, 1995, 419; Dahl: sigma_1 = 0):
 
@@ -267,12 +273,13 @@ class Presliding(FrictionEffect):
     is the limit sigma_0 -> infinity, with mu_s = mu_k. mu_s acts through mu_k alone.
     """
 
+    law: AbstractFriction
     compliance: Number = 1e-7
     """1 / sigma_0 [m/N]"""
     sigma_1: Number = 0.0
-    affine: ClassVar[bool] = False  # type: ignore[assignment]
+    affine: ClassVar[bool] = False
 
-    def bend(self, u, way, q, F_N):
+    def bend(self, u: Number, way: Number, q: Number, F_N: Number) -> tuple[Number, Number]:
         """(friction force [N], q' [m/s]) at the deflection q [m], where u has the sign `way`."""
         slip = self.law.sliding(jnp.zeros_like(u), F_N)
         held = self.stiffness * q
@@ -281,7 +288,7 @@ class Presliding(FrictionEffect):
         return held + self.sigma_1 * dq + rest, dq
 
     @property
-    def stiffness(self):
+    def stiffness(self) -> Number:
         """sigma_0 [N/m]."""
         return 1.0 / self.compliance
 

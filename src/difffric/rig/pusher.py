@@ -4,67 +4,77 @@ y is the tip's travel [m], V its speed [m/s] before any ripple, v the commanded 
 The effects below are pushers around a pusher.
 """
 
-from __future__ import annotations
+# No `from __future__ import annotations`: Equinox does not see an AbstractVar in text.
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from difffric.compute.elementary_functions import sin_cos
+from difffric.rig.number import Number, Truth
 
-Number = Float[Array, ""] | float
+
+class AbstractPusher(eqx.Module):
+    """A pusher: the travel of its tip over the time.
+
+    A pusher that keeps one speed has only a `stroke`; the other methods say how the speed
+    differs from the commanded one, and each may stay as it is.
+    """
+
+    stroke: eqx.AbstractVar[Number | None]
+    """the travel [m] at which the tip stops; None: at the first loss of contact"""
+
+    constant: ClassVar[bool] = True
+    """whether the tip keeps one speed until it stands"""
+
+    def stop_time(self, v: Number) -> Number:
+        """Time [s] at which the stroke ends at the speed v [m/s]; infinite without one."""
+        return jnp.inf if self.stroke is None else self.stroke / v
+
+    def stops_at_release(self) -> Truth:
+        """Whether the tip stands at the first loss of contact."""
+        return True if self.stroke is None else jnp.isinf(self.stroke)
+
+    def speed(self, velocity: Number) -> Number:
+        """v, the speed [m/s] that a commanded one comes to."""
+        return velocity
+
+    def ramp_time(self, v: Number) -> Number:
+        """How long the command takes to rise to v [s]."""
+        return 0.0
+
+    def lag(self) -> Number:
+        """Time constant [s] at which V follows its command."""
+        return 0.0
+
+    def rise(self, t: Number, v: Number, risen: Truth) -> Number:
+        """V [m/s] at the time t [s] before the stop; `risen`: whether the command has come to v."""
+        return v
+
+    def fall(self, t: Number, V: Number) -> Number:
+        """V [m/s] at the time t [s] after a stop at V."""
+        return 0.0
+
+    def ripple(self, y: Number) -> Number:
+        """y' / V at the travel y [m]."""
+        return 1.0
 
 
-class ConstantSpeed(eqx.Module):
+class ConstantSpeed(AbstractPusher):
     """y = v t up to the stroke [m], then the tip stands at once.
 
     `stroke=None` is the paper's silent case: the tip stands at the first loss of contact.
     An infinite stroke says the same in a batch that mixes both.
     """
 
-    stroke: Float[Array, ""] | float | None = None
-    constant: ClassVar[bool] = True
-    """whether the tip keeps one speed until it stands"""
-
-    def stop_time(self, v):
-        """Time [s] at which the stroke ends at the speed v; infinite without one."""
-        return jnp.inf if self.stroke is None else self.stroke / v
-
-    def stops_at_release(self):
-        """Whether the tip stands at the first loss of contact."""
-        return True if self.stroke is None else jnp.isinf(self.stroke)
-
-    def speed(self, velocity):
-        """v, the speed [m/s] that a commanded one comes to."""
-        return velocity
-
-    def ramp_time(self, v):
-        """How long the command takes to rise to v [s]."""
-        return 0.0
-
-    def lag(self):
-        """Time constant [s] at which V follows its command."""
-        return 0.0
-
-    def rise(self, t, v, risen):
-        """V at the time t [s] before the stop; `risen`: whether the command has come to v."""
-        return v
-
-    def fall(self, t, V):
-        """V at the time t [s] after a stop at V."""
-        return 0.0
-
-    def ripple(self, y):
-        """y' / V at the travel y."""
-        return 1.0
+    stroke: Number | None = None
 
 
-class PusherEffect(eqx.Module):
+class AbstractPusherEffect(AbstractPusher):
     """A pusher around another one, `law`; what an effect does not override is that one's own."""
 
-    law: Any
+    law: eqx.AbstractVar[AbstractPusher]
 
     @property
     def constant(self) -> bool:
@@ -72,105 +82,109 @@ class PusherEffect(eqx.Module):
         return self.law.constant
 
     @property
-    def stroke(self):
+    def stroke(self) -> Number | None:
         """[m]; None: the tip stops at the first loss of contact."""
         return self.law.stroke
 
-    def stop_time(self, v):
+    def stop_time(self, v: Number) -> Number:
         return self.law.stop_time(v)
 
-    def stops_at_release(self):
+    def stops_at_release(self) -> Truth:
         return self.law.stops_at_release()
 
-    def speed(self, velocity):
+    def speed(self, velocity: Number) -> Number:
         return self.law.speed(velocity)
 
-    def ramp_time(self, v):
+    def ramp_time(self, v: Number) -> Number:
         return self.law.ramp_time(v)
 
-    def lag(self):
+    def lag(self) -> Number:
         return self.law.lag()
 
-    def rise(self, t, v, risen):
+    def rise(self, t: Number, v: Number, risen: Truth) -> Number:
         return self.law.rise(t, v, risen)
 
-    def fall(self, t, V):
+    def fall(self, t: Number, V: Number) -> Number:
         return self.law.fall(t, V)
 
-    def ripple(self, y):
+    def ripple(self, y: Number) -> Number:
         return self.law.ripple(y)
 
 
-class SpeedError(PusherEffect):
+class SpeedError(AbstractPusherEffect):
     """The true speed is factor times the commanded one. factor > 0; null: 1."""
 
+    law: AbstractPusher
     factor: Number = 1.0
 
-    def speed(self, velocity):
+    def speed(self, velocity: Number) -> Number:
         return self.law.speed(self.factor * velocity)
 
 
-class Ramp(PusherEffect):
+class Ramp(AbstractPusherEffect):
     """Finite acceleration at the start: the command rises to v over v / acceleration; the stop
     stays sudden.
 
     slowness = 1 / acceleration >= 0 [s^2/m]; null: 0, which is sudden.
     """
 
+    law: AbstractPusher
     slowness: Number = 0.0
-    constant: ClassVar[bool] = False  # type: ignore[assignment]
+    constant: ClassVar[bool] = False
 
-    def ramp_time(self, v):
+    def ramp_time(self, v: Number) -> Number:
         return self.law.ramp_time(v) + v * self.slowness
 
-    def rise(self, t, v, risen):
-        return _lagged_ramp(t, v, self.ramp_time(v), self.lag(), risen)
+    def rise(self, t: Number, v: Number, risen: Truth) -> Number:
+        return _follow_ramp(t, v, self.ramp_time(v), self.lag(), risen)
 
 
-class Lag(PusherEffect):
+class Lag(AbstractPusherEffect):
     """The speed follows its command with a first-order lag, `tau V' = command - V`, at the stop
     too; the command stops so that the travel comes to the stroke.
 
     tau >= 0 [s]; null: 0.
     """
 
+    law: AbstractPusher
     tau: Number = 0.0
-    constant: ClassVar[bool] = False  # type: ignore[assignment]
+    constant: ClassVar[bool] = False
 
-    def lag(self):
+    def lag(self) -> Number:
         return self.tau
 
-    def rise(self, t, v, risen):
-        return _lagged_ramp(t, v, self.ramp_time(v), self.tau, risen)
+    def rise(self, t: Number, v: Number, risen: Truth) -> Number:
+        return _follow_ramp(t, v, self.ramp_time(v), self.tau, risen)
 
-    def fall(self, t, V):
+    def fall(self, t: Number, V: Number) -> Number:
         return V * _decay(t, self.tau)
 
 
-class Ripple(PusherEffect):
+class Ripple(AbstractPusherEffect):
     """A speed that ripples with the travel, as behind an imperfect spindle:
     `y' = v (1 + a sin(2 pi y / p + phi))`.
 
     |a| < 1, p > 0 [m], phi [rad]; null: a = 0.
     """
 
+    law: AbstractPusher
     amplitude: Number = 0.0
     period: Number = 1e-3
     phase: Number = 0.0
-    constant: ClassVar[bool] = False  # type: ignore[assignment]
+    constant: ClassVar[bool] = False
 
-    def ripple(self, y):
+    def ripple(self, y: Number) -> Number:
         wave, _ = sin_cos(2 * jnp.pi * y / self.period + self.phase)
         return self.law.ripple(y) * (1 + self.amplitude * wave)
 
 
-def _decay(t, tau):
+def _decay(t: Number, tau: Number) -> Number:
     """exp(-t / tau), 0 for tau = 0."""
     lags = tau > 0
     return jnp.where(lags, jnp.exp(-t / jnp.where(lags, tau, 1.0)), 0.0)
 
 
-def _lagged_ramp(t, v, t_r, tau, risen):
+def _follow_ramp(t: Number, v: Number, t_r: Number, tau: Number, risen: Truth) -> Number:
     """First-order lag's answer to a ramp of duration t_r, then v: the answer to a step,
     v (1 - exp(-t / tau)), averaged over the last t_r."""
     ramps = t_r > 0

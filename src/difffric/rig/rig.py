@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
-from jaxtyping import Array, Float
 
 from difffric.rig.contact import UnilateralSpringDamper
 from difffric.rig.friction import ViscousCoulomb
+from difffric.rig.number import Number, Truth
 from difffric.rig.pusher import ConstantSpeed
 from difffric.rig.sensors import ForceSensor, Probe
 from difffric.units import GRAVITY
@@ -21,7 +21,7 @@ class Rig(eqx.Module):
     and batched like any array.
     """
 
-    mass: Float[Array, ""] | float
+    mass: Number
     friction: Any
     contact: Any
     pusher: Any = ConstantSpeed()
@@ -29,16 +29,16 @@ class Rig(eqx.Module):
     probe: Any = Probe()
 
     @property
-    def F_N(self) -> Any:
+    def F_N(self) -> Number:
         """Normal force [N] where the push starts: m g on level rails."""
         return self.load(0.0, False)
 
-    def load(self, x, beyond) -> Any:
+    def load(self, x: Number, beyond: Truth) -> Number:
         """Normal force [N] at the position x [m]; `beyond`: past the friction's `edge`."""
         return self.friction.load(self.mass * GRAVITY, x, beyond)
 
     @property
-    def slope(self) -> Any:
+    def slope(self) -> Number:
         """What gravity itself holds against the push [N]: 0 on level rails."""
         return self.friction.slope(self.mass * GRAVITY)
 
@@ -65,19 +65,22 @@ class Rig(eqx.Module):
         """Whether all its laws are of this library, and none a user's."""
         return all(type(law).__module__.startswith("difffric.") for law in self.all_laws)
 
-    def approaching(self, z, w, u):
-        """Equation (2) while the tip closes in on the part: x'' [m/s^2]."""
+    def approaching(self, z: Number, w: Number, u: Number) -> Number:
+        """Equation (2) while the tip closes in on the part: x'' [m/s^2].
+
+        z [m] is the compression, w [m/s] its rate, u [m/s] the speed of the part.
+        """
         return self.balance(self.contact.approach(z, w), u)
 
-    def rebounding(self, z, w, u):
+    def rebounding(self, z: Number, w: Number, u: Number) -> Number:
         """Equation (2) while the part recedes from the tip: x'' [m/s^2]."""
         return self.balance(self.contact.rebound(z, w), u)
 
-    def free(self, u):
+    def free(self, u: Number) -> Number:
         """Equation (2) without contact: x'' [m/s^2]."""
         return self.balance(0.0, u)
 
-    def balance(self, F_contact, u):
+    def balance(self, F_contact: Number, u: Number) -> Number:
         """m x'' = b max(y' - x', 0) + k max(y - x, 0) - F(t), solved for x''.
 
         These are the physical signs: the paper prints -F(t) alone on the right and the contact
@@ -87,9 +90,21 @@ class Rig(eqx.Module):
 
 
 def spring_damper_rig(
-    *, mass, mu_s, k, b, mu_k_over_mu_s=0.75, k_v=0.0, stroke=None, **sensors
+    *,
+    mass: Number,
+    mu_s: Number,
+    k: Number,
+    b: Number,
+    mu_k_over_mu_s: Number = 0.75,
+    k_v: Number = 0.0,
+    stroke: Number | None = None,
+    **sensors: Any,
 ) -> Rig:
-    """The paper's rig: equation (1) on the rails, equation (2) at the tip (SI units)."""
+    """The paper's rig: equation (1) on the rails, equation (2) at the tip.
+
+    mass [kg], k [N/m], b and k_v [N s/m], stroke [m]; `sensors` may have a `force_sensor` and a
+    `probe`.
+    """
     return Rig(
         mass=mass,
         friction=ViscousCoulomb(mu_s, mu_k_over_mu_s, k_v),

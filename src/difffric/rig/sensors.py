@@ -3,72 +3,85 @@
 The effects below are sensors around a sensor, as in the other modules.
 """
 
-from __future__ import annotations
+# No `from __future__ import annotations`: Equinox does not see an AbstractVar in text.
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
-Number = Float[Array, ""] | float
+from difffric.rig.number import Number
 
 
-class ForceSensor(eqx.Module):
-    """The piezoelectric sensor in the push tip; defaults are the paper's."""
+class AbstractForceSensor(eqx.Module):
+    """A force sensor: its limits, and what it reads of a force.
 
-    sensitivity: float = 11.2e-3
+    One that reads the force itself has only the four numbers; the other methods say how a reading
+    differs, and each may stay as it is.
+    """
+
+    sensitivity: eqx.AbstractVar[float]
     """[V/N]"""
-    range: float = 446.0
+    range: eqx.AbstractVar[float]
     """[N], either sign"""
-    rate: float = 200e3
+    rate: eqx.AbstractVar[float]
     """[Hz]"""
-    noise: float | None = None
-    """Standard deviation of one sample [N]; None: not known"""
+    noise: eqx.AbstractVar[float | None]
+    """standard deviation of one sample [N]; None: not known"""
+
     filtered: ClassVar[bool] = False
     """whether a reading depends on what was before it"""
     sampled: ClassVar[bool] = False
     """whether a peak is read off samples"""
 
-    def read(self, f):
+    def read(self, f: Number) -> Number:
         """The reading [N] of a force [N] that has passed the filters."""
         return f
 
     @property
-    def low(self):
+    def low(self) -> Number:
         """Time constant [s] of the low-pass."""
         return 0.0
 
     @property
-    def slowness(self):
+    def slowness(self) -> Number:
         """Inverse time constant [1/s] of the high-pass."""
         return 0.0
 
     @property
-    def interval(self):
+    def interval(self) -> Number:
         """Time between the samples that a peak is read off [s]; 0: all of the time."""
         return 0.0
 
 
-class ForceEffect(eqx.Module):
+class ForceSensor(AbstractForceSensor):
+    """The piezoelectric sensor in the push tip; defaults are the paper's."""
+
+    sensitivity: float = 11.2e-3
+    range: float = 446.0
+    rate: float = 200e3
+    noise: float | None = None
+
+
+class AbstractForceEffect(AbstractForceSensor):
     """A sensor around another one, `law`; what an effect does not override is that one's own."""
 
-    law: Any
+    law: eqx.AbstractVar[AbstractForceSensor]
 
     @property
-    def sensitivity(self):
+    def sensitivity(self) -> float:
         return self.law.sensitivity
 
     @property
-    def range(self):
+    def range(self) -> float:
         return self.law.range
 
     @property
-    def rate(self):
+    def rate(self) -> float:
         return self.law.rate
 
     @property
-    def noise(self):
+    def noise(self) -> float | None:
         return self.law.noise
 
     @property
@@ -79,174 +92,195 @@ class ForceEffect(eqx.Module):
     def sampled(self) -> bool:
         return self.law.sampled
 
-    def read(self, f):
+    def read(self, f: Number) -> Number:
         return self.law.read(f)
 
     @property
-    def low(self):
+    def low(self) -> Number:
         return self.law.low
 
     @property
-    def slowness(self):
+    def slowness(self) -> Number:
         return self.law.slowness
 
     @property
-    def interval(self):
+    def interval(self) -> Number:
         return self.law.interval
 
 
-class Lowpass(ForceEffect):
+class Lowpass(AbstractForceEffect):
     """An amplifier's bandwidth: `tau f' = N - f`, f = 0 before the push.
 
     tau >= 0 [s]; null: 0.
     """
 
+    law: AbstractForceSensor
     tau: Number = 0.0
-    filtered: ClassVar[bool] = True  # type: ignore[assignment]
+    filtered: ClassVar[bool] = True
 
     @property
-    def low(self):
+    def low(self) -> Number:
         return self.tau
 
 
-class Highpass(ForceEffect):
+class Highpass(AbstractForceEffect):
     """A piezo's charge leaks: `f - l` is read, `tau l' = f - l`, l = 0 before the push.
 
     slowness = 1 / tau >= 0 [1/s]; null: 0. Not equal to a low-pass's tau.
     """
 
+    law: AbstractForceSensor
     leak: Number = 0.0
-    filtered: ClassVar[bool] = True  # type: ignore[assignment]
+    filtered: ClassVar[bool] = True
 
     @property
-    def slowness(self):
+    def slowness(self) -> Number:
         return self.leak
 
 
-class Gain(ForceEffect):
+class Gain(AbstractForceEffect):
     """The reading is factor times the force. factor > 0; null: 1."""
 
+    law: AbstractForceSensor
     factor: Number = 1.0
 
-    def read(self, f):
+    def read(self, f: Number) -> Number:
         return self.factor * self.law.read(f)
 
 
-class Offset(ForceEffect):
+class Offset(AbstractForceEffect):
     """The reading's zero is off by an offset [N]; null: 0."""
 
+    law: AbstractForceSensor
     offset: Number = 0.0
 
-    def read(self, f):
+    def read(self, f: Number) -> Number:
         return self.law.read(f) + self.offset
 
 
-class Saturation(ForceEffect):
+class Saturation(AbstractForceEffect):
     """Readings are clipped at a level [N], either sign; null: infinite."""
 
+    law: AbstractForceSensor
     level: Number = jnp.inf
 
-    def read(self, f):
+    def read(self, f: Number) -> Number:
         return jnp.clip(self.law.read(f), -self.level, self.level)
 
 
-class SampledPeak(ForceEffect):
+class SampledPeak(AbstractForceEffect):
     """A table's peak is the largest of slow samples at t = 0, 1 / rate, 2 / rate, ...
 
     spacing = 1 / rate >= 0 [s]; null: 0, every instant.
     """
 
+    law: AbstractForceSensor
     spacing: Number = 0.0
-    sampled: ClassVar[bool] = True  # type: ignore[assignment]
+    sampled: ClassVar[bool] = True
 
     @property
-    def interval(self):
+    def interval(self) -> Number:
         return self.spacing
 
 
-class Probe(eqx.Module):
-    """The digital linear probe on the part; defaults are the paper's."""
+class AbstractProbe(eqx.Module):
+    """A probe: its resolution, and what it reads of a position.
 
-    resolution: float = 20e-9
+    One that reads the position itself has only the two numbers; the other methods say how a
+    reading differs, and each may stay as it is.
+    """
+
+    resolution: eqx.AbstractVar[float]
     """[m]"""
-    noise: float | None = None
-    """Standard deviation of one reading [m]; None: not known"""
+    noise: eqx.AbstractVar[float | None]
+    """standard deviation of one reading [m]; None: not known"""
+
     late: ClassVar[bool] = False
     """whether a distance starts anywhere but at the loss of contact"""
 
-    def read(self, x):
+    def read(self, x: Number) -> Number:
         """The reading [m] of a position x [m] since the start of the push."""
         return x
 
     @property
-    def threshold(self):
+    def threshold(self) -> Number:
         """The contact force [N] at whose fall a distance starts."""
         return 0.0
 
     @property
-    def delay(self):
+    def delay(self) -> Number:
         """How far readings of position lag those of force [s]."""
         return 0.0
 
 
-class ProbeEffect(eqx.Module):
+class Probe(AbstractProbe):
+    """The digital linear probe on the part; defaults are the paper's."""
+
+    resolution: float = 20e-9
+    noise: float | None = None
+
+
+class AbstractProbeEffect(AbstractProbe):
     """A probe around another one, `law`; what an effect does not override is that one's own."""
 
-    law: Any
+    law: eqx.AbstractVar[AbstractProbe]
 
     @property
-    def resolution(self):
+    def resolution(self) -> float:
         return self.law.resolution
 
     @property
-    def noise(self):
+    def noise(self) -> float | None:
         return self.law.noise
 
     @property
     def late(self) -> bool:
         return self.law.late
 
-    def read(self, x):
+    def read(self, x: Number) -> Number:
         return self.law.read(x)
 
     @property
-    def threshold(self):
+    def threshold(self) -> Number:
         return self.law.threshold
 
     @property
-    def delay(self):
+    def delay(self) -> Number:
         return self.law.delay
 
 
-class ProbeScale(ProbeEffect):
+class ProbeScale(AbstractProbeEffect):
     """Lengths are read as factor times themselves. factor > 0; null: 1."""
 
+    law: AbstractProbe
     factor: Number = 1.0
 
-    def read(self, x):
+    def read(self, x: Number) -> Number:
         return self.factor * self.law.read(x)
 
 
-class ReleaseThreshold(ProbeEffect):
+class ReleaseThreshold(AbstractProbeEffect):
     """A table's loss of contact is taken where the contact force last falls through a threshold.
 
     threshold >= 0 [N]; null: 0.
     """
 
+    law: AbstractProbe
     level: Number = 0.0
-    late: ClassVar[bool] = True  # type: ignore[assignment]
+    late: ClassVar[bool] = True
 
     @property
-    def threshold(self):
+    def threshold(self) -> Number:
         return self.level
 
 
-class ChannelSkew(ProbeEffect):
+class ChannelSkew(AbstractProbeEffect):
     """Readings of position lag those of force by a delay >= 0 [s]; null: 0."""
 
+    law: AbstractProbe
     skew: Number = 0.0
-    late: ClassVar[bool] = True  # type: ignore[assignment]
+    late: ClassVar[bool] = True
 
     @property
-    def delay(self):
+    def delay(self) -> Number:
         return self.skew

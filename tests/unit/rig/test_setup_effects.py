@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from difffric.calibration import calibrate
 from difffric.calibration.result import Fit
-from difffric.commands.reports.simulate import simulate_answer
+from difffric.commands.reports.simulate import describe_simulation
 from difffric.compute import pytrees
 from difffric.errors import InputError
 from difffric.measurements.pushes import Pushes
@@ -312,7 +312,9 @@ def test_jax_numbers_are_written_and_what_pushes_say_is_not(tmp_path):
     assert same(load_setup(path), catalogue.extended(PLAIN, {"friction_drift": {"drift": 0.1}}))
 
 
-class Greased(friction.FrictionEffect):
+class Greased(friction.AbstractFrictionEffect):
+    law: friction.AbstractFriction
+
     def breakaway(self, F_N):
         return 0.5 * self.law.breakaway(F_N)
 
@@ -400,7 +402,7 @@ STRIBECK = "[pusher]\nstroke_mm = 2\n[effects.stribeck]\nv_s_m_per_s = {}\n"
 
 
 def test_simulate_takes_the_effect(file):
-    found = simulate_answer(load_setup(file(STRIBECK.format(0.02))), 0.05)
+    found = describe_simulation(load_setup(file(STRIBECK.format(0.02))), 0.05)
     push = simulate(catalogue.extended(PLAIN_2MM, {"stribeck": {"v_s_m_per_s": 0.02}}), 0.05)
     assert found["peak_force_N"] == pytest.approx(float(push.peak_force), rel=1e-12)
     assert found["sliding_distance_m"] == pytest.approx(float(push.sliding_distance), rel=1e-12)
