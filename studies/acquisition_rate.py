@@ -25,11 +25,11 @@ import numpy as np
 from difffric.acquisition.card import split_position
 from difffric.acquisition.push import Command
 from difffric.acquisition.recorder import acquire
-from difffric.commands.reports.acquire import PAPER_SPEEDS_MM_MIN, Run, commands, record
+from difffric.commands.reports.acquire import PAPER_SPEEDS_MM_MIN, Run, plan_commands, record
 from difffric.measurements.files.tdms_reader import read_recordings
 from difffric.rig.setup import Setup
 from difffric.rig.setup_toml import read_setup
-from difffric.studies.simulated_rig import simulated_card
+from difffric.studies.simulated_rig import make_simulated_card
 from fpga.emulator.emulator import emulated_card
 
 RATE = 200_000
@@ -94,7 +94,7 @@ def whole(path: Path, words, counts) -> bool:
 
 def words_of(setup: Setup, pushes: list[Command], rate: int) -> list[tuple]:
     """Force words and encoder counts of pushes of a set-up's rig, as a card makes them."""
-    simulated, _ = simulated_card(setup, float(rate), 3)
+    simulated, _ = make_simulated_card(setup, float(rate), 3)
     simulated.state |= {"quiet_samples": rate // 50, "rest_samples": rate // 33}
     words = []
     for one in pushes:
@@ -121,7 +121,7 @@ def show_answers(times: int) -> None:
     jax.config.update("jax_cpu_enable_async_dispatch", False)
     setup = read_setup("examples/setup.toml")
     stroke = setup.rig.pusher.stroke
-    pushes = commands(times * PAPER_SPEEDS_MM_MIN, stroke=stroke, mass=float(setup.rig.mass))
+    pushes = plan_commands(times * PAPER_SPEEDS_MM_MIN, stroke=stroke, mass=float(setup.rig.mass))
     with tempfile.TemporaryDirectory() as folder:
         run = answered(setup, pushes, RATE, Path(folder))
     after = {}

@@ -16,7 +16,7 @@ import pytest
 
 import difffric as df
 from difffric.commands import main
-from difffric.commands.reports.identify import summary_of
+from difffric.commands.reports.identify import summarise_conditions
 from difffric.identification.estimates import NONE, Estimate, Identified, PushFriction
 from difffric.measurements.files.tdms_writer import write_recordings
 from difffric.measurements.recordings import Channel
@@ -277,7 +277,7 @@ def _push(value, error, condition="", shared=()):
 def test_the_mean_weighs_pushes_by_error_and_spread():
     value, error = np.array([0.10, 0.12, 0.11]), np.array([0.001, 0.05, 0.002])
     found = Identified(tuple(_push(*x) for x in zip(value, error, strict=True)))
-    of = summary_of(found)[""]
+    of = summarise_conditions(found)[""]
     w = 1 / (error**2 + 0.01**2)
     assert of["mean"] == pytest.approx(w @ value / w.sum())
     assert of["spread"] == pytest.approx(0.01 / of["mean"])
@@ -285,13 +285,13 @@ def test_the_mean_weighs_pushes_by_error_and_spread():
 
 def test_the_mean_of_equal_pushes_has_the_textbook_error():
     found = Identified(tuple(_push(x, None, "A") for x in (0.10, 0.12, 0.14, 0.16)))
-    of = summary_of(found)["A"]
+    of = summarise_conditions(found)["A"]
     assert of["mean"] == pytest.approx(0.13)
     assert of["standard_error"] == pytest.approx(np.std([0.10, 0.12, 0.14, 0.16], ddof=1) / 2)
 
 
 def test_one_push_and_none_have_no_spread():
-    of = summary_of(Identified((_push(0.1, 0.002, "A"), _push(None, None, "B"))))
+    of = summarise_conditions(Identified((_push(0.1, 0.002, "A"), _push(None, None, "B"))))
     one, none = (
         {"standard_error": se, "calibration_standard_error": shared, "spread": None}
         for se, shared in ((0.002, 0.0), (None, None))
@@ -305,7 +305,7 @@ def test_an_error_that_all_pushes_share_does_not_average_out():
         found = (
             _push(x, None, "A", s) for x, s in zip((0.10, 0.12, 0.14, 0.16), shared, strict=True)
         )
-        return summary_of(Identified(tuple(found)))["A"]["standard_error"]
+        return summarise_conditions(Identified(tuple(found)))["A"]["standard_error"]
 
     between = np.std([0.10, 0.12, 0.14, 0.16], ddof=1) / 2
     assert error(*4 * [(0.03, 0.04)]) == pytest.approx(np.hypot(between, 0.05))
@@ -331,7 +331,7 @@ def test_the_shared_error_is_the_mean_s_shift_with_the_calibration(name, error):
 
     def mean(shift, **known):
         at = parameters.with_values(rig, {name: value + shift * error})
-        return summary_of(df.identify(Setup(at, **known), pushes))[""]
+        return summarise_conditions(df.identify(Setup(at, **known), pushes))[""]
 
     said, up, down = (
         mean(x, extras={name: Extras(standard_error=error)}) for x in (0.0, 0.01, -0.01)
@@ -348,7 +348,7 @@ def test_the_shared_error_of_free_slides_is_their_mean_s_shift_with_viscosity():
 
     def means(shift, **known):
         at = parameters.with_values(setup.rig, {"k_v_N_s_per_m": k_v + shift * error})
-        return summary_of(df.identify(Setup(at, **known), slides))
+        return summarise_conditions(df.identify(Setup(at, **known), slides))
 
     extras = {"k_v_N_s_per_m": Extras(standard_error=error)}
     said, up, down = (means(x, extras=extras) for x in (0.0, 0.01, -0.01))

@@ -14,7 +14,7 @@ from difffric.commands.reports import acquire as answers
 from difffric.errors import InputError
 from difffric.output_folder import open_folder
 from difffric.rig.setup_toml import read_setup
-from difffric.studies.simulated_rig import simulated_card
+from difffric.studies.simulated_rig import make_simulated_card
 from difffric.units import from_mm
 
 
@@ -49,18 +49,18 @@ def acquire(
     file = simulate or setup
     known, truth = None if file is None else read_setup(file), []
     if known is not None and simulate is not None:
-        card, truth = simulated_card(known, rate_hz, seed)
+        card, truth = make_simulated_card(known, rate_hz, seed)
     else:
         card = open_card(bitfile, resource)
     stroke = None if stroke_mm is None else from_mm(stroke_mm)
     if stroke is None and known is not None:
         stroke = known.rig.pusher.stroke
     mass = float("nan") if known is None else float(known.rig.mass)
-    pushes = answers.commands(velocity_mm_min or (), stroke=stroke, mass=mass)
+    pushes = answers.plan_commands(velocity_mm_min or (), stroke=stroke, mass=mass)
     with open_folder(out or Path()) as folder, card as session:
         run = answers.record(session, pushes, folder, setup=known, quiet=quiet, plot=plot)
     note = answers.NO_STROKE if stroke is None else None
     seeded = None if simulate is None else seed
-    answer = answers.acquire_answer(run, truth=truth, seed=seeded, stroke=note)
-    print_and_write(answers.acquire_report(answer, run, pictures=out is not None), answer, out)
-    answers.raise_for_lost(run)
+    answer = answers.describe_run(run, truth=truth, seed=seeded, stroke=note)
+    print_and_write(answers.report_run(answer, run, pictures=out is not None), answer, out)
+    answers.require_all_samples(run)

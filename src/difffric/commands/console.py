@@ -14,6 +14,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from difffric.commands.reports.page import Report, Table, write_folder
+from difffric.errors import InputError
 from difffric.output_folder import check_writable
 from difffric.progress import Tell
 
@@ -35,6 +36,16 @@ def check_out(out: Path | None) -> None:
     """Raise `InputError` where `--out` cannot be written, before the work and not after it."""
     if out is not None:
         check_writable(out)
+
+
+def check_setup_stays(out: Path | None, setup: Path) -> None:
+    """Raise `InputError` where the set-up that is written would replace the one that is read."""
+    own = None if out is None else out / "setup.toml"
+    if own is not None and own.exists() and setup.exists() and own.samefile(setup):
+        raise InputError(
+            f"--out {out}: its setup.toml is the set-up that the fit starts from, and would be "
+            "replaced by the fitted one; give another folder"
+        )
 
 
 def print_and_write(

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from difffric.commands.console import check_out, print_and_write, show_progress
+from difffric.commands.console import check_out, check_setup_stays, print_and_write, show_progress
 from difffric.commands.fleet_options import (
     Archive,
     FleetSetup,
@@ -19,11 +19,10 @@ from difffric.commands.fleet_options import (
 )
 from difffric.commands.options import DataMass, Out, Quiet, SkipBad
 from difffric.commands.reports import diagnose as answers
-from difffric.commands.reports.fit import check_out as check_setup_stays
 from difffric.diagnosis.procedure import diagnose as diagnose_pushes
 from difffric.errors import InputError
 from difffric.measurements.load_file import load
-from difffric.rig.setup_toml import read_setup
+from difffric.rig.setup_toml import format_setup, read_setup
 
 
 def diagnose(
@@ -63,8 +62,8 @@ def diagnose(
             tell=tell,
         )
         tell("drawing", 0.99)
-        report = answers.diagnose_report(found, pictures=out is not None)
-        files = None if out is None else {"setup.toml": answers.setup_file_of(found)}
+        report = answers.report_diagnosis(found, pictures=out is not None)
+        files = None if out is None else {"setup.toml": format_setup(found.setup).encode()}
     print_and_write(report, found.as_dict(), out, files)
 
 
@@ -81,8 +80,8 @@ def _diagnose_fleet(
     folder = check_fleet(data, workers, scheduler, out)
     # Here, as one rig's pushes need no data frames: 0.2 s.
     from difffric.commands.reports.fleet_diagnosis import (
-        fleet_diagnosis_answer,
-        fleet_diagnosis_report,
+        describe_fleet_diagnosis,
+        report_fleet_diagnosis,
     )
     from difffric.fleet.diagnose_archive import diagnose_fleet
 
@@ -97,5 +96,5 @@ def _diagnose_fleet(
             **options,
         )
         tell("drawing", 1.0)
-        report = fleet_diagnosis_report(found, pictures=True)
-    print_and_write(report, fleet_diagnosis_answer(found), folder)
+        report = report_fleet_diagnosis(found, pictures=True)
+    print_and_write(report, describe_fleet_diagnosis(found), folder)

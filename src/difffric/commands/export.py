@@ -9,7 +9,7 @@ import typer
 
 from difffric.commands.console import check_out, print_and_write, show_progress
 from difffric.commands.options import Quiet, Setup, load_rig, require_positive
-from difffric.commands.reports.export import export_answer, export_report, files_of
+from difffric.commands.reports.export import describe_predictor, render_files, report_predictor
 from difffric.errors import InputError
 from difffric.identification.controller.fitting import check, fit_predictor
 from difffric.identification.controller.predictor import Box
@@ -54,5 +54,5 @@ def export(
             rig, box, max_error=max_error, least_elasticity=least_elasticity, tell=tell
         )
         tell("writing", 0.95)
-        report, files = export_report(found, rig), files_of(found, rig)
-    print_and_write(report, export_answer(found, rig), out, files)
+        report, files = report_predictor(found, rig), render_files(found, rig)
+    print_and_write(report, describe_predictor(found, rig), out, files)

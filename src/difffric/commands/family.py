@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from difffric.commands.console import check_out, print_and_write, show_progress
 from difffric.commands.options import Out, Quiet, Setup, load_rig
-from difffric.commands.reports.family import family_answer, family_report
+from difffric.commands.reports.family import describe_family, report_family
 from difffric.simulation.families import family as simulate_family
 
 
@@ -15,5 +15,5 @@ def family(setup: Setup, out: Out = None, quiet: Quiet = False) -> None:
     with show_progress(quiet) as tell:
         tell("simulating 494 pushes", 0.0)
         grid = simulate_family(rig)
-    answer = family_answer(grid)
-    print_and_write(family_report(answer, grid, rig), answer, out)
+    answer = describe_family(grid)
+    print_and_write(report_family(answer, grid, rig), answer, out)

@@ -7,13 +7,13 @@ from typing import Annotated
 import typer
 
 from difffric.calibration.calibrate import fit as calibrate
-from difffric.commands.console import check_out, print_and_write, show_progress
+from difffric.commands.console import check_out, check_setup_stays, print_and_write, show_progress
 from difffric.commands.options import Data, DataMass, Out, Quiet, SetupOption, SkipBad
 from difffric.commands.reports import fit as answers
 from difffric.errors import InputError
 from difffric.measurements.load_file import load
 from difffric.measurements.recordings import Recordings
-from difffric.rig.setup_toml import read_setup
+from difffric.rig.setup_toml import format_setup, read_setup
 
 
 def fit(
@@ -51,7 +51,7 @@ def fit(
 ) -> None:
     """Calibrate on the data and report parameters, errors and what stays open."""
     check_out(out)
-    answers.check_out(out, setup)
+    check_setup_stays(out, setup)
     rig, loaded = read_setup(setup), load(data, skip_bad=skip_bad)
     if robust and isinstance(loaded, Recordings):
         raise InputError(
@@ -73,8 +73,8 @@ def fit(
             skip_bad=skip_bad,
         )
         answer = answers.Answer.of(found)
-        answer = answers.with_more(answer, profile, next_push, tell)
+        answer = answers.add_more(answer, profile, next_push, tell)
         tell("drawing", 0.99)
-        report = answers.fit_report(answer, pictures=out is not None)
-        files = None if out is None else {"setup.toml": answers.setup_file_of(found)}
+        report = answers.report_fit(answer, pictures=out is not None)
+        files = None if out is None else {"setup.toml": format_setup(found.fitted_setup).encode()}
     print_and_write(report, answer.as_dict(), out, files)

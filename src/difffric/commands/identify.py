@@ -40,8 +40,8 @@ def identify(
         found = identify_pushes(
             rig, loaded, use_data_mass=use_data_mass, skip_bad=skip_bad, tell=tell
         )
-    answer = answers.identify_answer(found, rig.rig)
-    report = answers.identify_report(found, answer, loaded, out is not None)
+    answer = answers.describe_friction(found, rig.rig)
+    report = answers.report_friction(found, answer, loaded, out is not None)
     print_and_write(report, answer, out)
 
 
@@ -57,7 +57,7 @@ def _identify_fleet(
     """Identify mu_s of all pushes of an archive, into the folder."""
     folder = check_fleet(data, workers, scheduler, out)
     # Here, as one rig's pushes need no data frames: 0.2 s.
-    from difffric.commands.reports.fleet import fleet_answer, fleet_report
+    from difffric.commands.reports.fleet import describe_fleet, report_fleet
     from difffric.fleet.identify_archive import identify_fleet
 
     with show_progress(quiet) as tell:
@@ -71,6 +71,6 @@ def _identify_fleet(
             tell=tell,
         )
         tell("drawing", 1.0)
-        answer = fleet_answer(found)
-        report = fleet_report(found, answer, pictures=True)
+        answer = describe_fleet(found)
+        report = report_fleet(found, answer, pictures=True)
     print_and_write(report, answer, folder)

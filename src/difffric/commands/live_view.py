@@ -28,7 +28,7 @@ _WINDOWS = {"qtagg", "qt5agg", "tkagg", "gtk3agg", "gtk4agg", "wxagg", "macosx"}
 """matplotlib's backends that open a window."""
 
 
-def notes(acquired: Acquired, found: LivePush | None) -> list[str]:
+def list_notes(acquired: Acquired, found: LivePush | None) -> list[str]:
     """What is to be said of a push beside its numbers."""
     said = acquired.troubles
     if found is not None:
@@ -38,7 +38,7 @@ def notes(acquired: Acquired, found: LivePush | None) -> list[str]:
     return said
 
 
-def cells(acquired: Acquired, found: LivePush | None) -> list[str]:
+def list_cells(acquired: Acquired, found: LivePush | None) -> list[str]:
     """A push as a row of numbers."""
     speed = format_number(to_mm_min(acquired.command.velocity), 6)
     row = [acquired.name, speed, str(acquired.samples)]
@@ -83,7 +83,7 @@ class LiveView:
 
     def add(self, acquired: Acquired, found: LivePush | None) -> None:
         """One more push."""
-        row, said = cells(acquired, found), "; ".join(notes(acquired, found))
+        row, said = list_cells(acquired, found), "; ".join(list_notes(acquired, found))
         if self._live:
             self._rows.append([*row, said])
             self._live.update(self._table(), refresh=True)

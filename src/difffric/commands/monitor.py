@@ -53,15 +53,15 @@ def monitor(
     feed = Feed(read_setup(setup), arl=arl, state=state)
     with show_progress(quiet) as tell:
         if follow:
-            feed.on_push = answers.teller(feed)
+            feed.on_push = answers.make_teller(feed)
             with suppress(KeyboardInterrupt):
                 feed.follow(data[0], idle=idle_s, tell=tell)
         else:
             feed.files(data, use_data_mass=use_data_mass, skip_bad=skip_bad, tell=tell)
         tell("drawing", 0.99)
-        alarms = answers.explained(feed.monitor)
-        answer = answers.monitor_answer(feed, alarms)
-        report = answers.monitor_report(feed, answer, alarms, pictures=out is not None)
+        alarms = answers.explain_alarms(feed.monitor)
+        answer = answers.describe_monitor(feed, alarms)
+        report = answers.report_monitor(feed, answer, alarms, pictures=out is not None)
     print_and_write(report, answer, out)
-    if answers.new_alarms(feed):
+    if answers.find_new_alarms(feed):
         raise typer.Exit(answers.ALARM)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from difffric.commands.console import check_out, print_and_write, show_progress
 from difffric.commands.options import Out, Quiet
-from difffric.commands.reports.paper import paper_report
+from difffric.commands.reports.paper import report_paper
 from difffric.studies.paper import study
 
 
@@ -13,4 +13,4 @@ def paper(out: Out = None, quiet: Quiet = False) -> None:
     check_out(out)
     with show_progress(quiet) as tell:
         found = study(tell)
-    print_and_write(paper_report(found), found.as_dict(), out)
+    print_and_write(report_paper(found), found.as_dict(), out)

@@ -45,8 +45,8 @@ def plan(
     require_positive("--reach-mm", reach_mm)
     require_positive("--mu-s", mu_s)
     require_positive("--radius-mm", radius_mm)
-    said = answers.with_mu_s(read_setup(setup), mu_s, mu_s_se)
-    offset, error, found = answers.offset_of(offset_um, offset_se_um, ring, radius_mm)
+    said = answers.replace_mu_s(read_setup(setup), mu_s, mu_s_se)
+    offset, error, found = answers.find_offset(offset_um, offset_se_um, ring, radius_mm)
     known = Known.of(
         said,
         speeds=space_speeds(from_mm_min(slowest_mm_min), from_mm_min(fastest_mm_min)),
@@ -56,7 +56,7 @@ def plan(
     with show_progress(quiet) as tell:
         tell("planning", 0.0)
         planned = plan_push(known, offset, error)
-    answer = answers.plan_answer(planned, known, found, answers.notes_on(said))
+    answer = answers.describe_plan(planned, known, found, answers.list_notes(said))
     print_and_write(
-        answers.plan_report(planned, known, answer, found, out is not None), answer, out
+        answers.report_plan(planned, known, answer, found, out is not None), answer, out
     )

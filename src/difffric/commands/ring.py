@@ -11,7 +11,7 @@ from difffric.centering.ring import measure
 from difffric.centering.ring_csv import load_ring
 from difffric.commands.console import check_out, print_and_write
 from difffric.commands.options import Out, require_positive
-from difffric.commands.reports.ring import ring_report
+from difffric.commands.reports.ring import report_ring
 from difffric.errors import InputError
 from difffric.units import from_mm, from_um
 
@@ -45,5 +45,5 @@ def ring(
         found = measure(angle, radius, noise=noise, lobes=lobes, form=from_um(form_um))
     except InputError as error:
         raise InputError(f"{readings}: {error}") from None
-    report = ring_report(found, angle, radius, pictures=out is not None)
+    report = report_ring(found, angle, radius, pictures=out is not None)
     print_and_write(report, {"readings_file": str(readings), **found.as_dict()}, out)

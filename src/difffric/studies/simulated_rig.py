@@ -54,7 +54,9 @@ class SimulatedRig:
         return evaluate, max(float(push.stop_time), stroke / velocity)
 
 
-def simulated_card(setup: Setup, rate: float | None, seed: int) -> tuple[SimulatedCard, list[dict]]:
+def make_simulated_card(
+    setup: Setup, rate: float | None, seed: int
+) -> tuple[SimulatedCard, list[dict]]:
     """A card before the set-up's rig, and the list that its pushes' truth goes to."""
     rig, pushed = setup.rig, SimulatedRig(setup, seed)
     sensor, probe = rig.force_sensor, rig.probe

@@ -17,7 +17,7 @@ from difffric.acquisition.card import CardError
 from difffric.acquisition.push import Command
 from difffric.acquisition.recorder import acquire
 from difffric.acquisition.stream import SEGMENT
-from difffric.commands.reports.acquire import Run, acquire_answer, acquire_report, raise_for_lost
+from difffric.commands.reports.acquire import Run, describe_run, report_run, require_all_samples
 from difffric.errors import DiskError
 from difffric.measurements.files import tdms_writer
 from difffric.measurements.files.tdms_reader import read_recordings
@@ -120,10 +120,10 @@ def test_a_full_fifo_is_told_and_its_samples_counted(tmp_path):
     assert TdmsFile.read(path)["push_0002"].properties["lost_samples"] == N - 5000
     run = Run(pushes, 3 * [None], [], path.name, 2e-8, None)
     with pytest.raises(CardError, match=r"25000 samples were lost \(a FIFO was full\), in push_0"):
-        raise_for_lost(run)
-    answer = acquire_answer(run)
+        require_all_samples(run)
+    answer = describe_run(run)
     assert answer["lost_samples"] == N - 5000 and answer["pushes"][1]["hardware"]["overflow"]
-    assert any("lost" in line for line in acquire_report(answer, run).summary)
+    assert any("lost" in line for line in report_run(answer, run).summary)
 
 
 def test_a_card_that_falls_silent_is_a_time_out(tmp_path):
@@ -251,7 +251,7 @@ def test_pushes_are_identified_through_nifpga_as_they_come(tmp_path):
     setup = read_setup("examples/setup.toml")
     pushes = [Command(v, 1.2e-3, 18.9) for v in (0.05, 0.08, 0.05)]
     run = answered(setup, pushes, 50_000, tmp_path)
-    answer = json.loads(json.dumps(acquire_answer(run)))
+    answer = json.loads(json.dumps(describe_run(run)))
     for push in answer["pushes"]:
         assert push["hardware"]["agrees"] and push["reason"] is None
         for way in ("mu_s_force", "mu_s_distance", "mu_s_weighted", "mu_s_optimal"):

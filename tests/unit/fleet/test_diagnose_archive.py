@@ -13,7 +13,10 @@ from typer.testing import CliRunner
 
 import difffric as df
 from difffric.commands.main import app
-from difffric.commands.reports.fleet_diagnosis import fleet_diagnosis_answer, fleet_diagnosis_report
+from difffric.commands.reports.fleet_diagnosis import (
+    describe_fleet_diagnosis,
+    report_fleet_diagnosis,
+)
 from difffric.commands.reports.page import render
 from difffric.fleet import diagnose_archive, member
 from difffric.fleet.archive import find_files
@@ -300,11 +303,11 @@ def test_what_is_written_is_whole_and_the_report_draws(tmp_path):
     for n in (1, 8, 50):
         rigs = [*named(max(n - 2, 1)), answer("z/odd", verdict="unexplained"), answer("z/a")]
         fleet = verdict(rigs[:n], {("stribeck", "z/a"): 50.0}, bad=[("broken", "no file")])
-        told = fleet_diagnosis_answer(fleet)
+        told = describe_fleet_diagnosis(fleet)
         assert json.loads(json.dumps(told, allow_nan=False)) == told
         assert len(told["rigs"]) == n and told["bad"] == [{"rig": "broken", "reason": "no file"}]
         assert {"id", "named", "p_value", "at_least"} <= told["effects"][0].keys()
-        page = render(fleet_diagnosis_report(fleet, pictures=n > 1))
+        page = render(report_fleet_diagnosis(fleet, pictures=n > 1))
         assert "1 rig could not be diagnosed: broken." in page
         if n == 1:
             assert "nothing can be compared" in page and not told["differ"]
@@ -316,7 +319,7 @@ def test_the_report_shows_at_both_widths(browser, tmp_path, n):
     rigs = [*named(n - 2), answer("z/odd", verdict="unexplained"), answer("z/a")]
     fleet = verdict(rigs, {("stribeck", "z/a"): 50.0}, bad=[("broken", "no file")])
     page = tmp_path / "report.html"
-    page.write_text(render(fleet_diagnosis_report(fleet, pictures=True)), encoding="utf-8")
+    page.write_text(render(report_fleet_diagnosis(fleet, pictures=True)), encoding="utf-8")
     for width in WIDTHS:
         assert faults(browser, page, width) == [], width
 
@@ -417,7 +420,7 @@ def test_a_second_run_does_only_what_is_missing_or_has_changed(archive, tmp_path
     assert bad[0] == "bad" and "nothing" in bad[1]
     again = run()
     assert quick == [] and (again.fresh, again.asked) == (0, 0)
-    assert fleet_diagnosis_answer(again) == fleet_diagnosis_answer(first)
+    assert describe_fleet_diagnosis(again) == describe_fleet_diagnosis(first)
     table(archive / "c/more.csv", 12)
     run()
     assert quick == ["c", ("stribeck", "c")]
@@ -520,4 +523,4 @@ def test_three_rigs_share_a_hidden_effect_and_the_fourth_is_named(tmp_path):
     assert [(x.rig, x.how) for x in found.differ] == [("d", "absent")]
     again = diagnose_fleet(tmp_path / "archive", tmp_path / "out")
     assert again.fresh == again.asked == 0
-    assert fleet_diagnosis_answer(again) == fleet_diagnosis_answer(found)
+    assert describe_fleet_diagnosis(again) == describe_fleet_diagnosis(found)

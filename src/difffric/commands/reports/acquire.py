@@ -14,7 +14,7 @@ from difffric.acquisition.card import METRES_PER_COUNT, VOLTS_PER_WORD, CardErro
 from difffric.acquisition.push import Acquired, Command
 from difffric.acquisition.recorder import acquire
 from difffric.commands import figures
-from difffric.commands.live_view import LivePlot, LiveView, notes
+from difffric.commands.live_view import LivePlot, LiveView, list_notes
 from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.errors import InputError
 from difffric.identification.live import LiveIdentifier, LivePush
@@ -31,7 +31,7 @@ NO_STROKE = "No stroke is given: 2 mm is commanded."
 _WAYS = ("mu_s_force", "mu_s_distance", "mu_s_weighted", "mu_s_optimal")
 
 
-def commands(speeds_mm_min: Sequence[float], *, stroke=None, mass=np.nan) -> list[Command]:
+def plan_commands(speeds_mm_min: Sequence[float], *, stroke=None, mass=np.nan) -> list[Command]:
     """The pushes to make, in order; the paper's speeds twice where none are given. SI units but
     for the speeds [mm/min]."""
     speeds = speeds_mm_min or 2 * PAPER_SPEEDS_MM_MIN
@@ -96,7 +96,7 @@ def record(
     return Run(acquired, found, first, file.name, resolution, sensitivity)
 
 
-def raise_for_lost(run: Run) -> None:
+def require_all_samples(run: Run) -> None:
     """Raises `CardError` where the card took samples that did not come: lost samples are a
     failure, also where all else was recorded."""
     cut = [one for one in run.acquired if one.lost]
@@ -109,7 +109,7 @@ def raise_for_lost(run: Run) -> None:
         )
 
 
-def acquire_answer(run: Run, *, truth: Sequence[dict] = (), seed=None, stroke=None) -> dict:
+def describe_run(run: Run, *, truth: Sequence[dict] = (), seed=None, stroke=None) -> dict:
     """What was recorded, as `difffric acquire` writes it. `truth` has an entry a push where the
     pushes were simulated; `stroke` says so where none was given."""
     pushes = [
@@ -122,8 +122,8 @@ def acquire_answer(run: Run, *, truth: Sequence[dict] = (), seed=None, stroke=No
             "lost_samples": one.lost,
             "duration_s": one.samples / one.rate,
             "fault": one.fault or None,
-            "hardware": _hardware(one, found, run),
-            **_identified(found),
+            "hardware": _describe_hardware(one, found, run),
+            **_describe_friction(found),
             "simulated": truth[i] if truth else None,
         }
         for i, (one, found) in enumerate(zip(run.acquired, run.found, strict=True))
@@ -140,7 +140,7 @@ def acquire_answer(run: Run, *, truth: Sequence[dict] = (), seed=None, stroke=No
     }
 
 
-def _hardware(one: Acquired, found: LivePush | None, run: Run) -> dict:
+def _describe_hardware(one: Acquired, found: LivePush | None, run: Run) -> dict:
     """What the card itself saw, and whether the recording says the same."""
     seen, problems = one.hardware, [*one.hardware.problems, *(found.problems if found else ())]
     step = run.sensitivity and VOLTS_PER_WORD / run.sensitivity
@@ -158,7 +158,7 @@ def _hardware(one: Acquired, found: LivePush | None, run: Run) -> dict:
     }
 
 
-def _identified(found: LivePush | None) -> dict:
+def _describe_friction(found: LivePush | None) -> dict:
     """What a push said of mu_s, as `identify` names it; null without a set-up."""
     friction, seen = (None, None) if found is None else (found.friction, found.reduced)
     ways = {way: friction and getattr(friction, way).as_dict() for way in _WAYS}
@@ -180,7 +180,7 @@ def _identified(found: LivePush | None) -> dict:
     }
 
 
-def acquire_report(answer: dict, run: Run, pictures: bool = False) -> Report:
+def report_run(answer: dict, run: Run, pictures: bool = False) -> Report:
     """What was recorded, for a person."""
     lost = answer["lost_samples"]
     source = "simulated" if answer["simulated"] else "of the card"
@@ -194,16 +194,16 @@ def acquire_report(answer: dict, run: Run, pictures: bool = False) -> Report:
     told = [
         [one.name, words]
         for one, found in zip(run.acquired, run.found, strict=True)
-        for words in notes(one, found)
+        for words in list_notes(one, found)
     ]
     wrong = sum(
         bool(x.troubles or (y and y.problems)) for x, y in zip(run.acquired, run.found, strict=True)
     )
     if wrong:
         summary.append(f"Something is wrong with {wrong} of the pushes: see the notes.")
-    tables = [_recorded(answer)]
+    tables = [_tabulate_recorded(answer)]
     if any(run.found):
-        tables.append(_friction(answer))
+        tables.append(_tabulate_friction(answer))
     if told:
         tables.append(Table("Notes", ("push", ""), told))
     drawn = []
@@ -218,7 +218,7 @@ def acquire_report(answer: dict, run: Run, pictures: bool = False) -> Report:
     return Report("Recorded pushes", summary, [Section("Pushes", (), tables, drawn)])
 
 
-def _recorded(answer: dict) -> Table:
+def _tabulate_recorded(answer: dict) -> Table:
     columns = ["push", "mm/min", "stroke [mm]", "samples", "lost"]
     if answer["simulated"]:
         columns += ["mu_s", "F_p [N]", "d [µm]"]
@@ -241,17 +241,21 @@ def _recorded(answer: dict) -> Table:
     return Table(caption, columns, rows)
 
 
-def _friction(answer: dict) -> Table:
+def _tabulate_friction(answer: dict) -> Table:
     rows = []
     for push in answer["pushes"]:
         F_p, d = push["peak_force_N"], push["sliding_distance_m"]
-        row = [push["name"], _shown(F_p), _shown(d and {k: to_um(x) for k, x in d.items()})]
-        row += [_shown(push[way]) for way in _WAYS]
+        row = [
+            push["name"],
+            _format_estimate(F_p),
+            _format_estimate(d and {k: to_um(x) for k, x in d.items()}),
+        ]
+        row += [_format_estimate(push[way]) for way in _WAYS]
         rows.append([*row, format_number(1e3 * push["answered_after_s"], 3)])
     columns = ("push", "F_p [N]", "d [µm]", "force", "distance", "(7)", "optimal", "after [ms]")
     return Table("mu_s of each push, as soon as it had ended", columns, rows)
 
 
-def _shown(estimate: Mapping | None) -> str:
+def _format_estimate(estimate: Mapping | None) -> str:
     value, error = format_pair(*(estimate or {"value": None, "standard_error": None}).values())
     return value if error == "–" else f"{value} ± {error}"

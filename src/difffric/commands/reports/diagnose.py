@@ -7,7 +7,6 @@ from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.diagnosis.misfit import describe_misfits
 from difffric.diagnosis.verdict import ADEQUATE, AMBIGUOUS, NAMED, Cause, Diagnosis
 from difffric.number_text import format_number
-from difffric.rig.setup_toml import format_setup
 from difffric.units import to_mm, to_mm_min, to_um
 
 _VERDICTS = {
@@ -18,31 +17,26 @@ _VERDICTS = {
 _UNEXPLAINED = "The misfit is real, and no effect of the catalogue explains it."
 
 
-def setup_file_of(found: Diagnosis) -> bytes:
-    """The extended set-up as its file holds it."""
-    return format_setup(found.setup).encode()
-
-
-def _sizes(cause: Cause) -> str:
+def _format_sizes(cause: Cause) -> str:
     return "; ".join(
         f"{name} = {format_number(value)} ± {format_number(error, 2)}"
         for name, (value, error) in cause.parameters.items()
     )
 
 
-def _share(x: float) -> str:
+def _format_share(x: float) -> str:
     return f"{100 * x:.2g} %" if x > 1e-6 else "0"
 
 
-def _row(cause: Cause) -> list[str]:
+def _list_cause(cause: Cause) -> list[str]:
     return [
         cause.id,
         cause.component,
-        _sizes(cause),
+        _format_sizes(cause),
         format_number(cause.probability, 3),
         ", ".join(cause.confusable_with) or "–",
         format_number(cause.chi2_drop),
-        f"{_share(cause.change_peak_force)}, {_share(cause.change_sliding_distance)}",
+        f"{_format_share(cause.change_peak_force)}, {_format_share(cause.change_sliding_distance)}",
     ]
 
 
@@ -57,13 +51,13 @@ _COLUMNS = (
 )
 
 
-def considered_table(found: Diagnosis, gain: str = "gain held out") -> Table:
+def tabulate_considered(found: Diagnosis, gain: str = "gain held out") -> Table:
     """The leading effects, each alone on top of the plain model."""
     rows = [
         [
             cause.id,
             cause.component,
-            _sizes(cause),
+            _format_sizes(cause),
             format_number(cause.chi2_drop),
             format_number(cause.heldout_gain, 3),
             format_number(cause.p_value, 2),
@@ -74,7 +68,7 @@ def considered_table(found: Diagnosis, gain: str = "gain held out") -> Table:
     return Table("The leading effects, each alone on top of the plain model", columns, rows)
 
 
-def experiment_table(found: Diagnosis) -> Table:
+def tabulate_experiments(found: Diagnosis) -> Table:
     """The pushes that would tell more."""
     rows = [
         [
@@ -92,7 +86,7 @@ def experiment_table(found: Diagnosis) -> Table:
     return Table("The push that would tell most", columns, rows)
 
 
-def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
+def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
     """The diagnosis for a person."""
     g = found.gain
     summary = [_VERDICTS.get(found.verdict, _UNEXPLAINED)]
@@ -113,16 +107,18 @@ def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
     sections = []
     if found.causes:
         table = Table(
-            "Causes, by how much they change F_p and d", _COLUMNS, [_row(c) for c in found.causes]
+            "Causes, by how much they change F_p and d",
+            _COLUMNS,
+            [_list_cause(c) for c in found.causes],
         )
         sections.append(Section("Causes", tables=(table,)))
     if found.negligible:
         table = Table(
-            "Detected, too small to matter", _COLUMNS, [_row(c) for c in found.negligible]
+            "Detected, too small to matter", _COLUMNS, [_list_cause(c) for c in found.negligible]
         )
         sections.append(Section("Negligible", tables=(table,)))
     if found.considered:
-        sections.append(Section("What was considered", tables=(considered_table(found),)))
+        sections.append(Section("What was considered", tables=(tabulate_considered(found),)))
     if found.certificates:
         rows = [
             [str(x.push + 1), format_number(to_mm_min(x.velocity_m_per_s)),
@@ -171,7 +167,7 @@ def diagnose_report(found: Diagnosis, pictures: bool) -> Report:
     reasons = [[name, why] for name, why in found.impossible.items()]
     reasons += [[name, "too small a trace in these pushes at its typical size"] for name in unseen]
     if found.experiments:
-        sections.append(Section("What to push next", tables=(experiment_table(found),)))
+        sections.append(Section("What to push next", tables=(tabulate_experiments(found),)))
     if reasons:
         table = Table("Not to be seen in these data", ("effect", "why"), reasons)
         sections.append(Section("What these data cannot say", tables=(table,)))

@@ -19,7 +19,7 @@ from difffric.units import to_mm, to_mm_min
 _NAMES = {"force": "F_p", "distance": "d", "either": "either"}
 
 
-def export_answer(exported: Exported, rig: Rig) -> dict:
+def describe_predictor(exported: Exported, rig: Rig) -> dict:
     """As result.json holds it; predictor.json has the cells too."""
     p = exported.predictor
     F_se, d_se = sensor_errors(rig)
@@ -49,10 +49,10 @@ def export_answer(exported: Exported, rig: Rig) -> dict:
     }
 
 
-def files_of(exported: Exported, rig: Rig) -> dict[str, bytes]:
+def render_files(exported: Exported, rig: Rig) -> dict[str, bytes]:
     """predictor.json, predictor.c, predictor.h and golden.csv."""
     errors = sensor_errors(rig)
-    stored = {**export_answer(exported, rig), "predictor": exported.predictor.as_dict()}
+    stored = {**describe_predictor(exported, rig), "predictor": exported.predictor.as_dict()}
     return {
         "predictor.json": (json.dumps(to_json_types(stored), allow_nan=False) + "\n").encode(),
         **source_files(exported, rig, *errors),
@@ -60,21 +60,21 @@ def files_of(exported: Exported, rig: Rig) -> dict[str, bytes]:
     }
 
 
-def export_report(exported: Exported, rig: Rig) -> Report:
+def report_predictor(exported: Exported, rig: Rig) -> Report:
     """The predictor for a person."""
     p = exported.predictor
 
-    def percent(value, digits=3):
+    def format_percent(value, digits=3):
         return "–" if value is None else format_number(100 * value, digits)
 
     rows = [
         [
             _NAMES[name],
-            percent(exported.bound.get(name)),
-            percent(exported.worst.get(name)),
-            percent(exported.determined[name], 4),
-            percent(exported.answered[name], 4),
-            percent(exported.missed[name], 2),
+            format_percent(exported.bound.get(name)),
+            format_percent(exported.worst.get(name)),
+            format_percent(exported.determined[name], 4),
+            format_percent(exported.answered[name], 4),
+            format_percent(exported.missed[name], 2),
             "" if name == "either" else str(int(getattr(p, name).first[-1])),
         ]
         for name in (*QUANTITIES, "either")
@@ -89,7 +89,7 @@ def export_report(exported: Exported, rig: Rig) -> Report:
         statement(exported),
         f"Box: {to_mm_min(box.slowest):g} to {to_mm_min(box.fastest):g} mm/min, mu_s "
         f"{box.least_mu_s:g} to {box.most_mu_s:g}. One of F_p and d gives mu_s in "
-        f"{percent(exported.answered['either'], 4)} % of it.",
+        f"{format_percent(exported.answered['either'], 4)} % of it.",
     ]
     if rig.pusher.stroke is None:
         summary.append(NO_STROKE)

@@ -18,7 +18,7 @@ from difffric.simulation.families import Family
 from difffric.units import to_um
 
 
-def family_answer(family: Family) -> dict:
+def describe_family(family: Family) -> dict:
     """The families and their fits, as `difffric family` writes them."""
     force, distance = fit_force(family), fit_distance(family)
     return {
@@ -29,11 +29,11 @@ def family_answer(family: Family) -> dict:
         "range_ratio_N_per_m": family.range_ratio,
         "equation_3": {"fitted": vars(force), "published": vars(PUBLISHED_FORCE)},
         "equation_5": {"fitted": vars(distance), "published": vars(PUBLISHED_DISTANCE)},
-        "misfit": _surrogate_misfit(family, force, distance),
+        "misfit": _measure_misfit(family, force, distance),
     }
 
 
-def _surrogate_misfit(family: Family, force, distance) -> dict:
+def _measure_misfit(family: Family, force, distance) -> dict:
     """How far the fitted surrogates are from the model they stand for, and their inverses'
     error in mu_s."""
     v, mu = np.meshgrid(family.velocity, family.mu_s, indexing="ij")
@@ -50,7 +50,7 @@ def _surrogate_misfit(family: Family, force, distance) -> dict:
     }
 
 
-def family_report(answer: dict, family: Family, rig: Rig) -> Report:
+def report_family(answer: dict, family: Family, rig: Rig) -> Report:
     """The families for a person."""
     rows = []
     for equation in ("equation_3", "equation_5"):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,6 @@ from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.errors import InputError
 from difffric.number_text import format_number, format_pair
 from difffric.progress import Tell, silent
-from difffric.rig.setup_toml import format_setup
 from difffric.units import to_mm_min, to_um
 
 SHOWN = 4
@@ -49,7 +47,9 @@ class Answer:
     @classmethod
     def of(cls, fit: Fit) -> Answer:
         """The fit beside the pushes that it was fitted to."""
-        return cls(fit, compare_pushes(fit, fit.pushes), order_of(fit.pushes.order), fit.push_names)
+        return cls(
+            fit, compare_pushes(fit, fit.pushes), fill_order(fit.pushes.order), fit.push_names
+        )
 
     def as_dict(self) -> dict:
         """As result.json holds it: what the fit gives, and more of each push."""
@@ -77,7 +77,7 @@ class Answer:
         return answer
 
 
-def with_more(answer: Answer, profile: bool, push: bool, tell: Tell = silent) -> Answer:
+def add_more(answer: Answer, profile: bool, push: bool, tell: Tell = silent) -> Answer:
     """The answer with profiles, and with the next push to make, where they are asked for."""
     if profile:
         answer = replace(answer, profiles=profiled(answer.fit, tell=tell))
@@ -90,27 +90,12 @@ def with_more(answer: Answer, profile: bool, push: bool, tell: Tell = silent) ->
     return answer
 
 
-def order_of(order: NDArray) -> NDArray:
+def fill_order(order: NDArray) -> NDArray:
     """The order that the data say, if they say it of every push; else as they stand."""
     return np.arange(1.0, len(order) + 1) if np.isnan(order).any() else order
 
 
-def setup_file_of(fit: Fit) -> bytes:
-    """The fitted set-up as its file holds it."""
-    return format_setup(fit.fitted_setup).encode()
-
-
-def check_out(out: Path | None, setup: Path) -> None:
-    """Raise `InputError` where the fitted set-up would replace the one that it starts from."""
-    own = None if out is None else out / "setup.toml"
-    if own is not None and own.exists() and setup.exists() and own.samefile(setup):
-        raise InputError(
-            f"--out {out}: its setup.toml is the set-up that the fit starts from, and would be "
-            "replaced by the fitted one; give another folder"
-        )
-
-
-def fit_report(answer: Answer, pictures: bool) -> Report:
+def report_fit(answer: Answer, pictures: bool) -> Report:
     """The calibration for a person."""
     fit = answer.fit
     sections = [
@@ -121,31 +106,33 @@ def fit_report(answer: Answer, pictures: bool) -> Report:
                 "scatter of mu_s; they are not scaled by the reduced chi-square, except in the "
                 "last column.",
             ),
-            [_parameters(fit), *_open(fit), *_correlations(fit)],
-            _correlation_picture(fit) if pictures else (),
+            [_tabulate_parameters(fit), *_tabulate_open(fit), *_tabulate_correlations(fit)],
+            _draw_correlations(fit) if pictures else (),
         )
     ]
     if answer.profiles:
-        sections.append(_profile_section(answer, pictures))
+        sections.append(_report_profiles(answer, pictures))
     sections.append(
         Section(
             "Pushes",
-            (_residuals_in_words(fit),),
-            [_pushes(answer)],
-            _push_pictures(answer) if pictures else (),
+            (_describe_residuals(fit),),
+            [_tabulate_pushes(answer)],
+            _draw_pushes(answer) if pictures else (),
         )
     )
     if fit.noise:
-        sections.append(Section("Noise", ("Estimated where nothing moves.",), [_noise(fit)]))
+        sections.append(
+            Section("Noise", ("Estimated where nothing moves.",), [_tabulate_noise(fit)])
+        )
     if answer.next_push is not None or answer.no_next_push:
-        sections.append(_next_section(answer))
+        sections.append(_report_next(answer))
     if fit.skipped:
         rows = [[line] for line in fit.skipped]
         sections.append(Section("Skipped", (), [Table("What was left out, and why", ("",), rows)]))
-    return Report("Calibration", [*_summary(fit), *_next_in_words(answer)], sections)
+    return Report("Calibration", [*_summarise(fit), *_describe_next(answer)], sections)
 
 
-def _summary(fit: Fit) -> list[str]:
+def _summarise(fit: Fit) -> list[str]:
     reached, of = fit.starts_at_optimum
     kind = {"slides": "free slides"}.get(fit.kind, f"pushes ({fit.kind})")
     beside = f", {fit.left_out} more beside jumps left out" if fit.left_out else ""
@@ -167,13 +154,13 @@ def _summary(fit: Fit) -> list[str]:
     return lines
 
 
-def _parameters(fit: Fit) -> Table:
+def _tabulate_parameters(fit: Fit) -> Table:
     rows = []
     for label in fit.free:
         value, error = fit.value(label), fit.standard_error(label)
         shown, se = format_pair(value, error)
         interval, scaled = fit.interval(label), fit.standard_error(label, scaled=True)
-        relative = _percent(error, value)
+        relative = _format_percent(error, value)
         ends = "–"
         if interval is not None:
             ends = " … ".join(format_pair(x, error)[0] for x in interval)
@@ -188,23 +175,23 @@ def _parameters(fit: Fit) -> Table:
     ]
     for name, value, error in spreads:
         if math.isfinite(value) and (name != "mu_s_scatter" or "mu_s" in fit.names):
-            rows.append([name, *format_pair(value, error), _percent(error, value), "–", "–"])
+            rows.append([name, *format_pair(value, error), _format_percent(error, value), "–", "–"])
     return Table("Parameters", columns, rows)
 
 
-def _percent(error, value) -> str:
+def _format_percent(error, value) -> str:
     if not error or not value or not math.isfinite(error):
         return "–"
     share = 100 * error / abs(value)
     return f"{share:.0f}" if share >= 10 else f"{share:.2g}"
 
 
-def _open(fit: Fit) -> list[Table]:
+def _tabulate_open(fit: Fit) -> list[Table]:
     rows = [[", ".join(x["parameters"]), x["reason"]] for x in fit.not_identifiable]
     return [Table("Not determined by these data", ("", "why"), rows)] if rows else []
 
 
-def _correlations(fit: Fit) -> list[Table]:
+def _tabulate_correlations(fit: Fit) -> list[Table]:
     correlation = fit.correlation
     pairs = [
         (a, b, float(correlation[i, j]))
@@ -216,7 +203,7 @@ def _correlations(fit: Fit) -> list[Table]:
     return [Table("Correlations above 0.1", ("", "and", ""), rows)] if rows else []
 
 
-def _residuals_in_words(fit: Fit) -> str:
+def _describe_residuals(fit: Fit) -> str:
     if fit.kind == "recordings":
         return (
             "Residuals of F_p and d are in standard errors of what the recording says without a "
@@ -229,7 +216,7 @@ def _residuals_in_words(fit: Fit) -> str:
     )
 
 
-def _pushes(answer: Answer) -> Table:
+def _tabulate_pushes(answer: Answer) -> Table:
     fit, b = answer.fit, answer.beside
     chi2 = fit.chi2_per_sample
     rows = []
@@ -262,7 +249,7 @@ def _pushes(answer: Answer) -> Table:
     return Table("Each push", columns, rows)
 
 
-def _noise(fit: Fit) -> Table:
+def _tabulate_noise(fit: Fit) -> Table:
     units = {"force": (1.0, "N"), "position": (to_um(1.0), "µm")}
     rows = []
     for name, noise in fit.noise.items():
@@ -272,14 +259,14 @@ def _noise(fit: Fit) -> Table:
     return Table("Noise of a sample", ("", "standard deviation", "colour"), rows)
 
 
-def _correlation_picture(fit: Fit) -> list[Picture]:
+def _draw_correlations(fit: Fit) -> list[Picture]:
     if len(fit.free) < 3:
         return []
     caption = "Correlations of the free parameters."
     return [Picture("correlations", caption, figures.fit.draw_correlations(fit))]
 
 
-def _push_pictures(answer: Answer) -> list[Picture]:
+def _draw_pushes(answer: Answer) -> list[Picture]:
     fit = answer.fit
     found = [
         Picture(
@@ -294,7 +281,7 @@ def _push_pictures(answer: Answer) -> list[Picture]:
         found.append(Picture("mu_s", caption, figures.fit.draw_own_friction(fit, answer.order)))
     if fit.kind == "recordings":
         shown = {}
-        for i in _typical(answer.beside.velocity):
+        for i in _choose_typical(answer.beside.velocity):
             v = to_mm_min(answer.beside.velocity[i])
             title = f"{answer.names[i] or f'push {i + 1}'}: {v:g} mm/min {fit.conditions[i]}"
             shown[title.rstrip()] = compare_trace(fit, i)
@@ -303,14 +290,14 @@ def _push_pictures(answer: Answer) -> list[Picture]:
     return found
 
 
-def _typical(velocity: NDArray) -> list[int]:
+def _choose_typical(velocity: NDArray) -> list[int]:
     """Up to `SHOWN` pushes, from the slowest to the fastest."""
     order = np.argsort(velocity, kind="stable")
     places = np.linspace(0, len(order) - 1, min(SHOWN, len(order))).round().astype(int)
     return [int(order[i]) for i in places]
 
 
-def _profile_section(answer: Answer, pictures: bool) -> Section:
+def _report_profiles(answer: Answer, pictures: bool) -> Section:
     rows = []
     for label, one in answer.profiles.items():
         error = answer.fit.standard_error(label)
@@ -334,7 +321,7 @@ def _profile_section(answer: Answer, pictures: bool) -> Section:
     return Section("Profile-likelihood intervals", text, [Table("Intervals", columns, rows)], drawn)
 
 
-def _next_in_words(answer: Answer) -> list[str]:
+def _describe_next(answer: Answer) -> list[str]:
     best = answer.next_push
     if best is None:
         return [f"Next push: none: {answer.no_next_push}."] if answer.no_next_push else []
@@ -346,8 +333,8 @@ def _next_in_words(answer: Answer) -> list[str]:
     ]
 
 
-def _next_section(answer: Answer) -> Section:
-    best, text = answer.next_push, _next_in_words(answer)
+def _report_next(answer: Answer) -> Section:
+    best, text = answer.next_push, _describe_next(answer)
     if best is None:
         return Section("Next push", text)
     text += [f"Note: {note}." for note in best.notes]

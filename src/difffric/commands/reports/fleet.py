@@ -15,10 +15,10 @@ _APART = 3.0
 """Standard errors between force and distance from which a push is counted as `apart`."""
 
 
-def fleet_answer(fleet: Fleet) -> dict:
+def describe_fleet(fleet: Fleet) -> dict:
     """Counts, and each rig's summary, as `difffric identify ARCHIVE` writes it. Nothing in it says
     how often a run was interrupted."""
-    per_rig = {row["rig"]: row for row in _summary(fleet, "rig")}
+    per_rig = {row["rig"]: row for row in _summarise(fleet, "rig")}
     bad = [rig for rig, _, _ in fleet.bad]
     left_out = [rig for rig, _, _ in fleet.skipped]
     rigs = []
@@ -55,7 +55,7 @@ _NOTHING = {
 }
 
 
-def _summary(fleet: Fleet, *by: str) -> list[dict]:
+def _summarise(fleet: Fleet, *by: str) -> list[dict]:
     """A row a group: how many pushes, how mu_s lies. In NumPy, whose sums are always the same."""
     columns = ("rig", "date", "mu_s", "disagreement")
     parts = fleet.pushes.select(columns).collect().partition_by(*by, maintain_order=True)
@@ -81,11 +81,11 @@ def _summary(fleet: Fleet, *by: str) -> list[dict]:
     return rows
 
 
-def fleet_report(fleet: Fleet, answer: dict, pictures: bool) -> Report:
+def report_fleet(fleet: Fleet, answer: dict, pictures: bool) -> Report:
     """The fleet for a person."""
     drawn = []
     days: dict[str, list[dict]] = {}
-    for row in _summary(fleet, "rig", "date") if pictures else ():
+    for row in _summarise(fleet, "rig", "date") if pictures else ():
         if row["identified"]:
             days.setdefault(row["rig"], []).append(row)
     if days:
@@ -102,7 +102,7 @@ def fleet_report(fleet: Fleet, answer: dict, pictures: bool) -> Report:
         "its release speed and distance. Means count each push once; their standard errors come "
         "from how the pushes differ, without the calibration's, which they share.",
     )
-    sections = [Section("Rigs", text, [_rigs(answer)], drawn)]
+    sections = [Section("Rigs", text, [_tabulate_rigs(answer)], drawn)]
     left_out = [
         [x["rig"], x["file"], what, x["reason"]]
         for key, what in (("bad", "file"), ("skipped", "push"))
@@ -113,13 +113,13 @@ def fleet_report(fleet: Fleet, answer: dict, pictures: bool) -> Report:
         note = (f"The first {_LISTED} of {len(left_out)}; all stand in bad.csv.",) * (rest > 0)
         table = Table("What could not be used, and why", _COLUMNS, left_out[:_LISTED])
         sections.append(Section("Left out", note, [table]))
-    return Report("A fleet's friction", _lines(fleet, answer), sections)
+    return Report("A fleet's friction", _write_summary(fleet, answer), sections)
 
 
 _COLUMNS = ("rig", "file", "", "reason")
 
 
-def _lines(fleet: Fleet, answer: dict) -> list[str]:
+def _write_summary(fleet: Fleet, answer: dict) -> list[str]:
     rigs = [row for row in answer["rigs"] if row["pushes"]]
     lines = [
         f"{answer['pushes']} pushes in {answer['files'] - answer['bad_files']} files of "
@@ -140,7 +140,7 @@ def _lines(fleet: Fleet, answer: dict) -> list[str]:
     return lines
 
 
-def _rigs(answer: dict) -> Table:
+def _tabulate_rigs(answer: dict) -> Table:
     rows = []
     for row in answer["rigs"]:
         mean, error = format_pair(row["mu_s_mean"], row["mu_s_standard_error"])

@@ -26,7 +26,7 @@ from difffric.fleet.verdict import (
 from difffric.number_text import format_number, format_pair
 
 
-def fleet_diagnosis_answer(found: FleetDiagnosis) -> dict:
+def describe_fleet_diagnosis(found: FleetDiagnosis) -> dict:
     """The fleet's diagnosis as `result.json` holds it. Nothing in it says how often a run was
     interrupted."""
     rigs = []
@@ -45,25 +45,25 @@ def fleet_diagnosis_answer(found: FleetDiagnosis) -> dict:
         )
     return {
         "lines": summarise(found),
-        "shared": [_shared(found, one) for one in found.found.shared],
+        "shared": [_describe_shared(found, one) for one in found.found.shared],
         "differ": [
             {"rig": x.rig, "effect": x.effect, "how": x.how, "p_value": x.p_value,
              "text": describe_difference(found, x)}
             for x in found.differ
         ],
         "rigs": rigs,
-        "effects": [_effect(row) for row in found.found.rows],
+        "effects": [_describe_effect(row) for row in found.found.rows],
         "bad": [{"rig": rig, "reason": why} for rig, why in found.bad],
     }  # fmt: skip
 
 
-def _effect(row: Row) -> dict:
-    def marked(mark):
+def _describe_effect(row: Row) -> dict:
+    def find_marked(mark):
         return sorted(rig for rig, x in row.marks.items() if x == mark)
 
     return {
         "id": row.effect,
-        **{mark: marked(mark) for mark in (NAMED, POSSIBLE, NEGLIGIBLE, NOT_VISIBLE, KNOWN)},
+        **{mark: find_marked(mark) for mark in (NAMED, POSSIBLE, NEGLIGIBLE, NOT_VISIBLE, KNOWN)},
         "chi2": row.chi2,
         "degrees_of_freedom": row.freedom,
         "p_value": row.p_value,
@@ -73,7 +73,7 @@ def _effect(row: Row) -> dict:
     }
 
 
-def _shared(found: FleetDiagnosis, one: Shared) -> dict:
+def _describe_shared(found: FleetDiagnosis, one: Shared) -> dict:
     return {
         "id": one.effect,
         "text": describe_effect(one.effect),
@@ -97,11 +97,11 @@ def _shared(found: FleetDiagnosis, one: Shared) -> dict:
     }  # fmt: skip
 
 
-def fleet_diagnosis_report(found: FleetDiagnosis, pictures: bool) -> Report:
+def report_fleet_diagnosis(found: FleetDiagnosis, pictures: bool) -> Report:
     """The fleet's diagnosis for a person."""
     sections = []
     if found.found.shared:
-        rows = [row for one in found.found.shared for row in _shared_rows(one)]
+        rows = [row for one in found.found.shared for row in _list_shared(one)]
         columns = ("effect", "rigs", "number", "pooled", "± s.e.", "between rigs", "Q", "p of Q")
         text = (
             "Pooled: the mean weighted by each rig's own error and by how much the rigs differ "
@@ -110,7 +110,7 @@ def fleet_diagnosis_report(found: FleetDiagnosis, pictures: bool) -> Report:
         sections.append(Section("Shared effects", text, [Table("Shared", columns, rows)]))
     drawn = []
     if pictures and found.found.rows:
-        drawn.append(Picture("effects", _CAPTION, _matrix(found)))
+        drawn.append(Picture("effects", _CAPTION, _draw_matrix(found)))
     rows = [
         [
             rig, f"{a['files_used']} of {a['files']}", str(a["pushes"]), a["diagnosis"]["verdict"],
@@ -125,7 +125,7 @@ def fleet_diagnosis_report(found: FleetDiagnosis, pictures: bool) -> Report:
         every = [[x.rig, describe_difference(found, x)] for x in found.differ]
         tables.append(Table("Rigs that differ", ("rig", "how"), every))
     sections.append(Section("Rigs", (), tables, drawn))
-    sections.append(Section("Evidence", (_EVIDENCE,), [_evidence(found)]))
+    sections.append(Section("Evidence", (_EVIDENCE,), [_tabulate_evidence(found)]))
     left_out = [[a["rig"], x] for _, a in sorted(found.answers.items()) for x in a["left_out"]]
     left_out = [[rig, why] for rig, why in found.bad] + left_out
     if left_out:
@@ -146,7 +146,7 @@ _EVIDENCE = (
 )
 
 
-def _shared_rows(one: Shared) -> list[list[str]]:
+def _list_shared(one: Shared) -> list[list[str]]:
     name = " or ".join((one.effect, *one.alike))
     start = [name, str(len(one.rigs)) if one.by == CAUSES else f"≥ {one.row.at_least}"]
     rows = [
@@ -163,7 +163,7 @@ def _shared_rows(one: Shared) -> list[list[str]]:
     return rows or [[*start, "–", "–", "–", "–", "–", "–"]]
 
 
-def _evidence(found: FleetDiagnosis, most: int = 12) -> Table:
+def _tabulate_evidence(found: FleetDiagnosis, most: int = 12) -> Table:
     rows = [
         [row.effect, *(str(sum(x == mark for x in row.marks.values()) or "–")
                        for mark in (NAMED, POSSIBLE)),
@@ -176,7 +176,7 @@ def _evidence(found: FleetDiagnosis, most: int = 12) -> Table:
     return Table("Summed over the rigs, the leading effects", columns, rows)
 
 
-def _matrix(found: FleetDiagnosis):
+def _draw_matrix(found: FleetDiagnosis):
     words = dict.fromkeys(found.found.unexplained, "unexplained")
     odd = {x.rig for x in found.differ} if len(found.answers) > 1 else set()
     rigs = sorted(found.answers)

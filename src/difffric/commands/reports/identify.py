@@ -17,7 +17,7 @@ from difffric.rig.rig import Rig
 from difffric.units import to_mm_min
 
 
-def summary_of(found: Identified) -> dict[str, dict]:
+def summarise_conditions(found: Identified) -> dict[str, dict]:
     """Condition -> mean of its pushes' best mu_s, its standard error, and their spread.
 
     The spread s is the relative sample standard deviation: scatter and noise together. The mean
@@ -28,17 +28,17 @@ def summary_of(found: Identified) -> dict[str, dict]:
     out = {}
     for condition in dict.fromkeys(p.condition for p in found):
         best = [p.best for p in found if p.condition == condition and p.best.value is not None]
-        out[condition] = {"pushes": len(best), **_mean(best)}
+        out[condition] = {"pushes": len(best), **_combine(best)}
     return out
 
 
-def _mean(best: list[Estimate]) -> dict:
+def _combine(best: list[Estimate]) -> dict:
     if len(best) < 2:
         one = best[0] if best else NONE
         return {
             "mean": one.value,
             "standard_error": one.standard_error,
-            "calibration_standard_error": _norm(one.shared) if best else None,
+            "calibration_standard_error": _measure_norm(one.shared) if best else None,
             "spread": None,
         }
     value = np.array([x.value for x in best], float)
@@ -52,7 +52,7 @@ def _mean(best: list[Estimate]) -> dict:
     shared = np.zeros(max(len(x.shared) for x in best))
     for one, weight in zip(best, w, strict=True):
         shared[: len(one.shared)] += weight * np.array(one.shared)
-    calibration = _norm(shared)
+    calibration = _measure_norm(shared)
     return {
         "mean": mean,
         "standard_error": math.hypot(between, calibration),
@@ -61,20 +61,20 @@ def _mean(best: list[Estimate]) -> dict:
     }
 
 
-def _norm(shared) -> float:
+def _measure_norm(shared) -> float:
     return float(np.linalg.norm(shared))
 
 
-def identify_answer(found: Identified, rig: Rig) -> dict:
+def describe_friction(found: Identified, rig: Rig) -> dict:
     """mu_s of all pushes, as `difffric identify` writes it."""
     return {
         **found.as_dict(),
-        "conditions": summary_of(found),
+        "conditions": summarise_conditions(found),
         "stroke": NO_STROKE if rig.pusher.stroke is None else None,
     }
 
 
-def _places(found: Identified, data: Pushes | Recordings) -> tuple[NDArray, NDArray]:
+def _find_places(found: Identified, data: Pushes | Recordings) -> tuple[NDArray, NDArray]:
     """(n,) speeds [m/s], of free slides at their release, and the order of the pushes."""
     n = len(found)
     velocity, order = np.array([p.velocity for p in found]), np.arange(1.0, n + 1)
@@ -86,11 +86,11 @@ def _places(found: Identified, data: Pushes | Recordings) -> tuple[NDArray, NDAr
     return velocity, order if np.isnan(said).any() else said
 
 
-def identify_report(
+def report_friction(
     found: Identified, answer: dict, data: Pushes | Recordings, pictures: bool
 ) -> Report:
     """mu_s of all pushes for a person."""
-    velocity, order = _places(found, data)
+    velocity, order = _find_places(found, data)
     drawn = []
     if pictures:
         drawn = [
@@ -112,14 +112,18 @@ def identify_report(
         "the calibration's; that of a condition's mean comes from how its pushes differ and from "
         "the calibration's error, which they share.",
     )
-    sections = [Section("Pushes", text, [_pushes(found, velocity), _conditions(answer)], drawn)]
+    sections = [
+        Section(
+            "Pushes", text, [_tabulate_pushes(found, velocity), _tabulate_conditions(answer)], drawn
+        )
+    ]
     if found.skipped:
         rows = [[line] for line in found.skipped]
         sections.append(Section("Skipped", (), [Table("What was left out, and why", ("",), rows)]))
-    return Report("Identified friction", _summary(found, answer), sections)
+    return Report("Identified friction", _summarise(found, answer), sections)
 
 
-def _summary(found: Identified, answer: dict) -> list[str]:
+def _summarise(found: Identified, answer: dict) -> list[str]:
     lines = []
     for condition, of in answer["conditions"].items():
         value, error = format_pair(of["mean"], of["standard_error"])
@@ -143,7 +147,7 @@ def _summary(found: Identified, answer: dict) -> list[str]:
     return lines
 
 
-def _pushes(found: Identified, velocity: NDArray) -> Table:
+def _tabulate_pushes(found: Identified, velocity: NDArray) -> Table:
     ways = [way for way in WAYS if np.isfinite(found.values(way)).any()]
     both = any(p.disagreement is not None for p in found)
     rows = []
@@ -164,7 +168,7 @@ def _pushes(found: Identified, velocity: NDArray) -> Table:
     return Table("mu_s of each push", columns, rows)
 
 
-def _conditions(answer: dict) -> Table:
+def _tabulate_conditions(answer: dict) -> Table:
     rows = []
     for condition, of in answer["conditions"].items():
         value, error = format_pair(of["mean"], of["standard_error"])

@@ -23,7 +23,7 @@ ALARM = 3
 _SHOWN = 20  # last pushes in the printed table
 
 
-class Explained(NamedTuple):
+class ExplainedAlarm(NamedTuple):
     """An alarm with what may have changed."""
 
     alarm: Alarm
@@ -32,48 +32,46 @@ class Explained(NamedTuple):
     words: str
 
 
-def explained(monitor: Monitor) -> list[Explained]:
+def explain_alarms(monitor: Monitor) -> list[ExplainedAlarm]:
     """All alarms, by what is known now."""
     out = []
     for alarm in monitor.alarms:
         causes = alarm.causes(monitor.reader)
-        out.append(Explained(alarm, causes, *conclude(causes)))
+        out.append(ExplainedAlarm(alarm, causes, *conclude(causes)))
     return out
 
 
-def new_alarms(feed: Feed) -> list[Alarm]:
+def find_new_alarms(feed: Feed) -> list[Alarm]:
     """Those of this run."""
     return [a for a in feed.monitor.alarms if a.push > feed.before]
 
 
-def alarm_line(monitor: Monitor, alarm: Alarm, words: str) -> str:
+def format_alarm(monitor: Monitor, alarm: Alarm, words: str) -> str:
     """An alarm for a person."""
     places = {x.number: x for x in monitor.kept}
-    return (
-        f"ALARM at {_place(places, alarm.push)}: {words}; since {_place(places, alarm.change)}"
-        f" ({alarm.kind})"
-    )
+    at, since = _format_place(places, alarm.push), _format_place(places, alarm.change)
+    return f"ALARM at {at}: {words}; since {since} ({alarm.kind})"
 
 
-def teller(feed: Feed) -> Callable[[PushRecord], None]:
+def make_teller(feed: Feed) -> Callable[[PushRecord], None]:
     """Says each alarm as it comes."""
 
-    def told(seen: PushRecord) -> None:
+    def tell_alarm(seen: PushRecord) -> None:
         if seen.alarm:
             alarm = feed.monitor.alarms[-1]
             words = conclude(alarm.causes(feed.monitor.reader))[1]
-            print(alarm_line(feed.monitor, alarm, words), flush=True)
+            print(format_alarm(feed.monitor, alarm, words), flush=True)
 
-    return told
+    return tell_alarm
 
 
-def _place(pushes: dict[int, PushRecord], which: int) -> str:
+def _format_place(pushes: dict[int, PushRecord], which: int) -> str:
     seen = pushes.get(which)
     said = ", ".join(filter(None, [seen.source, seen.name])) if seen else ""
     return f"push {which}" + (f" ({said})" if said else "")
 
 
-def monitor_answer(feed: Feed, alarms: list[Explained]) -> dict:
+def describe_monitor(feed: Feed, alarms: list[ExplainedAlarm]) -> dict:
     """What was seen, as `difffric monitor` writes it."""
     monitor = feed.monitor
     if monitor.count == 0:
@@ -86,16 +84,16 @@ def monitor_answer(feed: Feed, alarms: list[Explained]) -> dict:
         "recognised": feed.seen_again,
         "identified": monitor.identified,
         "judged": monitor.judged,
-        "alarms": [_alarm(x, x.alarm.push > feed.before) for x in alarms],
-        "parts": _parts(monitor),
-        "pushes": [_push(x) for x in monitor.kept],
+        "alarms": [_describe_alarm(x, x.alarm.push > feed.before) for x in alarms],
+        "parts": _describe_parts(monitor),
+        "pushes": [_describe_push(x) for x in monitor.kept],
         "stroke": NO_STROKE if monitor.setup.rig.pusher.stroke is None else None,
-        "notes": _notes(monitor),
+        "notes": _list_notes(monitor),
         "skipped": feed.skipped,
     }
 
 
-def _alarm(x: Explained, new: bool) -> dict:
+def _describe_alarm(x: ExplainedAlarm, new: bool) -> dict:
     return {
         "push": x.alarm.push,
         "new": new,
@@ -109,11 +107,11 @@ def _alarm(x: Explained, new: bool) -> dict:
     }
 
 
-def _push(x: PushRecord) -> dict:
-    def pair(value, error):
+def _describe_push(x: PushRecord) -> dict:
+    def pair_up(value, error):
         return None if value is None else {"value": value, "standard_error": error}
 
-    def share(log):
+    def find_evidence(log):
         return None if log is None else math.exp(min(log, 700.0))
 
     return {
@@ -127,18 +125,18 @@ def _push(x: PushRecord) -> dict:
         "stroke_m": x.stroke,
         "peak_force_N": x.peak_force,
         "sliding_distance_m": x.sliding_distance,
-        "mu_s": pair(x.mu_s, x.standard_error),
-        "state": pair(x.state, x.state_se),
+        "mu_s": pair_up(x.mu_s, x.standard_error),
+        "state": pair_up(x.state, x.state_se),
         "contrast": x.contrast,
         "z": dict(zip(CHANNELS, x.z, strict=True)),
-        "evidence": share(x.log_evidence),
-        "evidence_by": dict(zip(DIRECTIONS, map(share, x.log_evidence_by), strict=False)),
+        "evidence": find_evidence(x.log_evidence),
+        "evidence_by": dict(zip(DIRECTIONS, map(find_evidence, x.log_evidence_by), strict=False)),
         "alarm": x.alarm,
         "reason": x.reason,
     }
 
 
-def _parts(monitor: Monitor) -> list[dict]:
+def _describe_parts(monitor: Monitor) -> list[dict]:
     """The state of each part, and the mean of each of its speeds since the last alarm."""
     out = []
     for key, (condition, mass) in monitor.parts.items():
@@ -172,7 +170,7 @@ def _parts(monitor: Monitor) -> list[dict]:
     return out
 
 
-def _notes(monitor: Monitor) -> list[str]:
+def _list_notes(monitor: Monitor) -> list[str]:
     notes = []
     lost = monitor.count - monitor.identified
     if lost:
@@ -193,11 +191,13 @@ def _notes(monitor: Monitor) -> list[str]:
     return notes
 
 
-def monitor_report(feed: Feed, answer: dict, alarms: list[Explained], pictures: bool) -> Report:
+def report_monitor(
+    feed: Feed, answer: dict, alarms: list[ExplainedAlarm], pictures: bool
+) -> Report:
     """What was seen, for a person."""
     monitor = feed.monitor
     new = monitor.count - feed.before
-    lines = [alarm_line(monitor, x.alarm, x.words) for x in alarms if x.alarm.push > feed.before]
+    lines = [format_alarm(monitor, x.alarm, x.words) for x in alarms if x.alarm.push > feed.before]
     if not lines:
         lines = [f"No alarm in {new} pushes."]
     again = f", {feed.seen_again} recognised and not counted again" if feed.seen_again else ""
@@ -224,8 +224,8 @@ def monitor_report(feed: Feed, answer: dict, alarms: list[Explained], pictures: 
         "follows about ten pushes; its standard error is that of the level, without the "
         "calibration's.",
     )
-    causes = [_causes(alarms)] if alarms else []
-    tables = [_last(answer)]
+    causes = [_tabulate_causes(alarms)] if alarms else []
+    tables = [_tabulate_last(answer)]
     lost = [x for x in answer["pushes"] if x["reason"]]
     if lost:
         rows = [[str(x["number"]), x["name"] or "–", x["reason"]] for x in lost[-_SHOWN:]]
@@ -233,13 +233,13 @@ def monitor_report(feed: Feed, answer: dict, alarms: list[Explained], pictures: 
     if feed.skipped:
         tables.append(Table("Left out", ("",), [[line] for line in feed.skipped]))
     sections = [
-        Section("State", text, [_states(answer), *causes], drawn),
+        Section("State", text, [_tabulate_states(answer), *causes], drawn),
         Section("Pushes", (), tables),
     ]
     return Report("Watched machine", lines, sections)
 
 
-def _causes(alarms: list[Explained]) -> Table:
+def _tabulate_causes(alarms: list[ExplainedAlarm]) -> Table:
     rows = []
     for x in alarms:
         for k, c in enumerate(x.causes):
@@ -260,7 +260,7 @@ def _causes(alarms: list[Explained]) -> Table:
     return Table("What may have changed", columns, rows)
 
 
-def _states(answer: dict) -> Table:
+def _tabulate_states(answer: dict) -> Table:
     rows = []
     for part in answer["parts"]:
         value, error = format_pair(*part["mu_s"].values())
@@ -276,7 +276,7 @@ def _states(answer: dict) -> Table:
     return Table("State", ("part", "mass [kg]", "mu_s", "speeds since the last alarm"), rows)
 
 
-def _last(answer: dict) -> Table:
+def _tabulate_last(answer: dict) -> Table:
     rows = []
     for x in answer["pushes"][-_SHOWN:]:
         z = x["z"]

@@ -72,11 +72,13 @@ def render(report: Report) -> str:
     template = resources.files("difffric.commands.reports").joinpath("report_template.html")
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     page = environment.from_string(template.read_text(encoding="utf-8"))
-    images = {p.name: base64.b64encode(_png(p.figure, 130)).decode() for p in report.pictures}
+    images = {
+        p.name: base64.b64encode(_render_png(p.figure, 130)).decode() for p in report.pictures
+    }
     return page.render(report=report, images=images)
 
 
-def _png(figure: Figure, dpi: int) -> bytes:
+def _render_png(figure: Figure, dpi: int) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=dpi)
     return buffer.getvalue()
@@ -92,7 +94,7 @@ def write_folder(
             json.dumps(to_json_types(answer), indent=1, allow_nan=False) + "\n"
         ).encode(),
         "report.html": render(report).encode(),
-        **{f"{p.name}.png": _png(p.figure, 150) for p in report.pictures},
+        **{f"{p.name}.png": _render_png(p.figure, 150) for p in report.pictures},
     }
     with open_folder(folder) as path:
         with tempfile.TemporaryDirectory(dir=path, prefix=".writing-") as staging:

@@ -24,7 +24,7 @@ SOURCES = {
 }
 
 
-def with_mu_s(setup: Setup, mu_s: float | None, error: float | None) -> Setup:
+def replace_mu_s(setup: Setup, mu_s: float | None, error: float | None) -> Setup:
     """The set-up with another mu_s, or another standard error of it."""
     rig = setup.rig if mu_s is None else parameters.with_values(setup.rig, {"mu_s": mu_s})
     extras = dict(setup.extras)
@@ -33,7 +33,7 @@ def with_mu_s(setup: Setup, mu_s: float | None, error: float | None) -> Setup:
     return replace(setup, rig=rig, extras=extras)
 
 
-def offset_of(
+def find_offset(
     offset_um: float | None, error_um: float, ring: Path | None, radius_mm: float | None
 ) -> tuple[float, float, Ring | None]:
     """(offset [m], its standard error [m], the ring that it was found from). Raises `InputError`
@@ -49,7 +49,7 @@ def offset_of(
     return found.offset, found.offset_se, found
 
 
-def notes_on(setup: Setup) -> list[str]:
+def list_notes(setup: Setup) -> list[str]:
     """What the set-up does not say, and what is taken instead."""
     said = setup.extras.get("mu_s", Extras()).standard_error
     notes = []
@@ -62,7 +62,7 @@ def notes_on(setup: Setup) -> list[str]:
     return notes
 
 
-def step_answer(step: PlannedPush) -> dict:
+def describe_push(step: PlannedPush) -> dict:
     """A push as result.json has it (SI)."""
     return {
         "velocity_m_per_s": step.velocity,
@@ -77,7 +77,7 @@ def step_answer(step: PlannedPush) -> dict:
     }
 
 
-def plan_answer(found: Plan, known: Known, ring: Ring | None, notes: list[str]) -> dict:
+def describe_plan(found: Plan, known: Known, ring: Ring | None, notes: list[str]) -> dict:
     """A plan as `difffric plan` writes it."""
     mean, error = known.mu_s.mean
     first = found.options
@@ -90,13 +90,13 @@ def plan_answer(found: Plan, known: Known, ring: Ring | None, notes: list[str]) 
         "mu_s_relative_standard_error": error,
         "mu_s_scatter": known.mu_s.scatter,
         "probability": found.probability,
-        "pushes": [step_answer(step) for step in found.steps],
+        "pushes": [describe_push(step) for step in found.steps],
         "speeds": [
             {
                 "velocity_m_per_s": float(v),
-                "stroke_m": _none(first.stroke[0, i]),
-                "duration_s": _none(first.duration[0, i]),
-                "probability": _none(first.probability[0, i]),
+                "stroke_m": _drop_nan(first.stroke[0, i]),
+                "duration_s": _drop_nan(first.duration[0, i]),
+                "probability": _drop_nan(first.probability[0, i]),
             }
             for i, v in enumerate(first.velocity)
         ],
@@ -105,11 +105,11 @@ def plan_answer(found: Plan, known: Known, ring: Ring | None, notes: list[str]) 
     }
 
 
-def _none(x) -> float | None:
+def _drop_nan(x) -> float | None:
     return float(x) if np.isfinite(x) else None
 
 
-def plan_report(
+def report_plan(
     found: Plan, known: Known, answer: dict, ring: Ring | None, pictures: bool
 ) -> Report:
     """A plan for a person."""
@@ -135,7 +135,7 @@ def plan_report(
     if not step.released:
         summary.append("The part is likely to rest in contact with the tip: there will be no d.")
     if step.probability < 0.99:
-        summary.append(f"What limits it: {_source(step.limited_by)}.")
+        summary.append(f"What limits it: {_name_source(step.limited_by)}.")
     rows = [
         [
             str(i),
@@ -150,7 +150,9 @@ def plan_report(
     ]
     columns = ("push", "mm/min", "stroke [µm]", "aim [µm]", "spread [µm]", "lands", "time [s]")
     spread = [
-        [_source(k), format_number(to_um(v), 3)] for k, v in step.deviations.items() if k != "all"
+        [_name_source(k), format_number(to_um(v), 3)]
+        for k, v in step.deviations.items()
+        if k != "all"
     ]
     tables = [
         Table("Pushes; those after the first are what is likely then", columns, rows),
@@ -175,5 +177,5 @@ def plan_report(
     return Report("The next push", summary, [Section("Plan", text, tables, drawn)])
 
 
-def _source(name: str) -> str:
+def _name_source(name: str) -> str:
     return SOURCES.get(name, f"{name}, as calibrated")

@@ -12,7 +12,7 @@ from difffric.number_text import format_pair
 from difffric.units import to_mm, to_um
 
 
-def ring_report(ring: Ring, angle: NDArray, radius: NDArray, pictures: bool = True) -> Report:
+def report_ring(ring: Ring, angle: NDArray, radius: NDArray, pictures: bool = True) -> Report:
     """A measured ring for a person. `angle` [rad], `radius` [m]."""
     rows = [
         ["offset [µm]", *format_pair(to_um(ring.offset), to_um(ring.offset_se))],

@@ -15,7 +15,7 @@ from difffric.simulation.trajectory import simulate
 from difffric.units import from_mm_min, to_um
 
 
-def simulate_answer(rig: Rig, velocity: float) -> dict:
+def describe_simulation(rig: Rig, velocity: float) -> dict:
     """One push, as `difffric simulate` writes it."""
     found = sensitivity(rig, velocity)
     seen = found.observables
@@ -40,7 +40,7 @@ def simulate_answer(rig: Rig, velocity: float) -> dict:
     }
 
 
-def simulate_pictures(rig: Rig, velocity: float) -> list[Picture]:
+def draw_simulation(rig: Rig, velocity: float) -> list[Picture]:
     """Position and force over time."""
     push = {"": simulate(rig, velocity)}
     return [
@@ -53,7 +53,7 @@ def simulate_pictures(rig: Rig, velocity: float) -> list[Picture]:
     ]
 
 
-def simulate_report(answer: dict, velocity_mm_min: float, rig: Rig, pictures) -> Report:
+def report_simulation(answer: dict, velocity_mm_min: float, rig: Rig, pictures) -> Report:
     """One push for a person."""
     d = answer["sliding_distance_m"]
     distance = (

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import difffric as df
-from difffric.commands.reports.export import export_answer, export_report, files_of
+from difffric.commands.reports.export import describe_predictor, render_files, report_predictor
 from difffric.errors import InputError, NumericalError
 from difffric.identification.controller.domain import Line, determined
 from difffric.identification.controller.fitting import drawn, fit_predictor, homogeneous, readings
@@ -253,7 +253,7 @@ def compiled(folder):
 @pytest.mark.parametrize("stroke", [False, True])
 def test_the_c_function_gives_the_golden_vectors(stroke, exported, with_stroke, tmp_path):
     rig, found = with_stroke if stroke else (RIG, exported)
-    for name, content in files_of(found, rig).items():
+    for name, content in render_files(found, rig).items():
         (tmp_path / name).write_bytes(content)
     program = compiled(tmp_path)
     done = subprocess.run([program, "golden.csv"], cwd=tmp_path, capture_output=True, text=True)
@@ -268,7 +268,7 @@ def test_the_c_function_gives_the_golden_vectors(stroke, exported, with_stroke, 
 
 
 def test_golden_vectors_hold_every_case(exported):
-    table = files_of(exported, RIG)["golden.csv"].decode().splitlines()
+    table = render_files(exported, RIG)["golden.csv"].decode().splitlines()
     rows = np.array([[float(x) for x in line.split(",")] for line in table[1:]])
     names = table[0].split(",")
     assert set(rows[:, names.index("status")]) == {0, 1, 2, 3}
@@ -277,9 +277,9 @@ def test_golden_vectors_hold_every_case(exported):
 
 
 def test_the_answer_and_the_report_say_what_is_proven(exported, with_stroke):
-    answer = export_answer(exported, RIG)
+    answer = describe_predictor(exported, RIG)
     assert answer["proof"] == "bounded" and max(answer["bound"].values()) <= 0.005
-    assert "(bounded)" in export_report(exported, RIG).summary[0]
+    assert "(bounded)" in report_predictor(exported, RIG).summary[0]
     rig, found = with_stroke
-    assert export_answer(found, rig)["proof"] == "sampled"
-    assert "several mu_s" in export_report(found, rig).summary[-1]
+    assert describe_predictor(found, rig)["proof"] == "sampled"
+    assert "several mu_s" in report_predictor(found, rig).summary[-1]
