@@ -25,7 +25,7 @@ from difffric.measurements.pushes import Pushes
 from difffric.rig.setup import Setup
 
 CHUNK = 256
-"""Pushes that a program takes at a time."""
+"""Pushes that a program takes at a time: always so many, so that one program serves all."""
 
 BY_PUSH = ("mu_s_force", "mu_s_distance", "mu_s_weighted", "mu_s_optimal")
 """The ways to mu_s from F_p and d."""
@@ -43,19 +43,21 @@ SCHEMA = {
 """The columns, null where there is no value."""
 
 
-def friction(parts: Sequence[tuple[Setup, Pushes]]) -> list[pl.DataFrame]:
-    """For each (set-up, its pushes) a table of `SCHEMA`, a row a push. The pushes are as
-    `checked_data` lets them pass.
+def identify_columns(parts: Sequence[tuple[Setup, Pushes]]) -> list[pl.DataFrame]:
+    """Identify the pushes of many rigs, each given as its set-up and its pushes.
+
+    Returns for each a table of the columns `SCHEMA`, a row a push. The pushes must be such as
+    `checked_data` lets pass.
 
     Raises `InputError` where JAX is in 32-bit mode.
     """
     require_float64()
     kinds: dict[tuple, list[int]] = {}
     for i, (setup, pushes) in enumerate(parts):
-        kinds.setdefault((_kind(setup, pushes), pushes.free_slides), []).append(i)
+        kinds.setdefault((_find_kind(setup, pushes), pushes.free_slides), []).append(i)
     out: dict[int, pl.DataFrame] = {}
     for indices in kinds.values():
-        whole = _of_one_kind([parts[i] for i in indices])
+        whole = _identify_kind([parts[i] for i in indices])
         start = 0
         for i in indices:
             out[i] = whole.slice(start, len(parts[i][1]))
@@ -63,20 +65,23 @@ def friction(parts: Sequence[tuple[Setup, Pushes]]) -> list[pl.DataFrame]:
     return [out[i] for i in range(len(parts))]
 
 
-def _kind(setup: Setup, pushes: Pushes):
-    """What decides which programs serve a rig's pushes."""
+def _find_kind(setup: Setup, pushes: Pushes) -> tuple:
+    """Return what decides which programs serve a rig's pushes: its laws, whether there are strokes,
+    and the calibrated parameters."""
     rigs = make_push_rigs(setup.rig, pushes.select(slice(0, 1)) if len(pushes) else pushes)
     stroke = setup.rig.pusher.stroke is not None or bool(np.isfinite(pushes.stroke).any())
     return jax.tree.structure(rigs), stroke, Calibration.read(setup).names
 
 
-def _of_one_kind(parts: Sequence[tuple[Setup, Pushes]]) -> pl.DataFrame:
-    """The columns of the pushes of rigs of one kind, one rig's after the other's."""
+def _identify_kind(parts: Sequence[tuple[Setup, Pushes]]) -> pl.DataFrame:
+    """Identify the pushes of rigs of one kind, in one table, one rig's after the other's."""
     resolved = ResolvedPushes.join(
         [ResolvedPushes.of(Calibration.read(setup), pushes) for setup, pushes in parts]
     )
-    found = _nothing(len(resolved)) if resolved.pushes.free_slides else _by_push(resolved)
-    mu, se = _by_slide(resolved)
+    found = (
+        _fill_nothing(len(resolved)) if resolved.pushes.free_slides else _estimate_by_push(resolved)
+    )
+    mu, se = _estimate_by_slide(resolved)
     found |= {"mu_s_slide": mu, "mu_s_slide_se": se}
     by_push = np.isfinite(found["mu_s_optimal"])
     found["mu_s"] = np.where(by_push, found["mu_s_optimal"], mu)
@@ -87,8 +92,8 @@ def _of_one_kind(parts: Sequence[tuple[Setup, Pushes]]) -> pl.DataFrame:
     return table.select(*SCHEMA).with_columns(pl.col(pl.Float64).fill_nan(None))
 
 
-def _nothing(n: int) -> dict[str, Any]:
-    """What F_p and d say of n free slides."""
+def _fill_nothing(n: int) -> dict[str, Any]:
+    """Return the columns from F_p and d for n free slides, which say nothing of them."""
     numbers = [f"{way}{end}" for way in BY_PUSH for end in ("", "_se")]
     found: dict[str, Any] = dict.fromkeys(
         [*numbers, "weight_force", "disagreement"], np.full(n, np.nan)
@@ -96,8 +101,8 @@ def _nothing(n: int) -> dict[str, Any]:
     return found | {"alternatives": [None] * n, "regime": [None] * n}
 
 
-def _by_push(resolved: ResolvedPushes) -> dict[str, Any]:
-    """What F_p and d of each push say, as columns."""
+def _estimate_by_push(resolved: ResolvedPushes) -> dict[str, Any]:
+    """Return the columns from F_p and d of each push."""
     combination = _combine_in_chunks(resolved, *resolved.invert())
     found: dict[str, Any] = {
         "weight_force": combination.weight_force,
@@ -117,9 +122,9 @@ def _by_push(resolved: ResolvedPushes) -> dict[str, Any]:
 def _combine_in_chunks(
     resolved: ResolvedPushes, force: Sequence[Inversion], distance: Sequence[Inversion]
 ) -> Combination:
-    """`combine`, with the derivatives taken a chunk at a time, so that one program serves all."""
+    """Combine force and distance, with the derivatives taken a chunk at a time."""
     gradients, regimes = [], []
-    for index in _chunks(len(resolved)):
+    for index in _chunk(len(resolved)):
         two = [[found[i] for i in index] for found in (force, distance)]
         gradient, regime = resolved.pick(index).differentiate(*two)
         gradients.append(gradient)
@@ -128,16 +133,17 @@ def _combine_in_chunks(
     return combine(resolved, force, distance, np.concatenate(gradients)[:n], regimes[:n])
 
 
-def _chunks(n: int) -> Iterator[NDArray]:
-    """Indices of n pushes, `CHUNK` at a time, the last one repeated to fill."""
+def _chunk(n: int) -> Iterator[NDArray]:
+    """Yield the indices of n pushes, `CHUNK` at a time, the last one repeated to fill."""
     for start in range(0, n, CHUNK):
         yield np.minimum(np.arange(start, start + CHUNK), n - 1)
 
 
-def _by_slide(resolved: ResolvedPushes) -> tuple[NDArray, NDArray]:
-    """(mu_s, standard errors) from release speed and d alone, NaN where there is none."""
+def _estimate_by_slide(resolved: ResolvedPushes) -> tuple[NDArray, NDArray]:
+    """Return mu_s and its standard errors (n,) from release speed and d alone, NaN where there is
+    none."""
     n, parts = len(resolved), []
-    for index in _chunks(n):
+    for index in _chunk(n):
         found = estimate_by_slides(resolved.pick(index))
         nothing = np.full(CHUNK, np.nan)
         parts.append((nothing, nothing) if found is None else (found.value, found.standard_error))

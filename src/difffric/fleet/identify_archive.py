@@ -25,7 +25,7 @@ from difffric.atomic_files import write_whole
 from difffric.errors import InputError
 from difffric.fleet import features
 from difffric.fleet.archive import ArchiveFile, find_files
-from difffric.fleet.columns import friction
+from difffric.fleet.columns import identify_columns
 from difffric.fleet.features import MADE_WITH
 from difffric.fleet.workers import Lost, Runner, start_workers
 from difffric.output_folder import open_folder
@@ -265,7 +265,7 @@ def _pack(parts: Iterable[_Part]) -> Iterator[list[_Part]]:
 
 def _identify(parts: list[_Part]) -> None:
     """Do a task of the second stage: identify the pushes and write each part."""
-    found = friction([(part.setup, features.to_pushes(part.table)) for part in parts])
+    found = identify_columns([(part.setup, features.to_pushes(part.table)) for part in parts])
     for part, columns in zip(parts, found, strict=True):
         whole = pl.concat([part.table, columns], how="horizontal")
         whole = whole.select("rig", "date", pl.exclude("rig", "date")).rechunk()

@@ -1,5 +1,5 @@
-"""Two numbers that say all of a push: mu_s by the best combination of force and distance, and what
-mu_s cannot explain of them.
+"""Readings: the two numbers that say all of a push, mu_s by the best combination of force and
+distance, and a contrast that mu_s cannot explain.
 
 With the errors sigma of F_p and d, and j = (dF_p/sigma_F, dd/sigma_d) by log mu_s, the residuals
 rho = ((F_p - F_p(mu_s)) / sigma_F, (d - d(mu_s)) / sigma_d) split into
@@ -26,33 +26,32 @@ from difffric.identification.tabulated_model import TabulatedModel
 from difffric.measurements.pushes import Pushes
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
-from difffric.simulation.batch import Batch, observe_batch
 from difffric.simulation.segments import default_integrator
 from difffric.units import from_um, to_um
 
 NOISE = (0.5, from_um(0.3) * np.sqrt(2.0))
 """Standard errors of F_p [N] and d [m] where neither the pushes nor the set-up say any."""
-_KEPT = 256  # settings whose curves are kept
+_KEPT = 256  # settings whose curves are kept in memory
 _FAR = 0.25  # by so much of F_p another branch of the model is meant
 _AT_ONCE = 4096  # pushes
 
 
 class Reading(NamedTuple):
-    """Of n pushes, (n,) each; NaN: not to be had."""
+    """What n pushes say, (n,) each; NaN: not to be had."""
 
     log_mu_s: NDArray
     error: NDArray
-    """of log_mu_s, by the sensors alone"""
+    """standard error of `log_mu_s`, by the sensors alone"""
     contrast: NDArray
     """in standard deviations of the sensors' noise"""
     sigma: NDArray
     """(n, 2) the errors of F_p [N] and d [m]; infinite where one was not measured"""
     reason: list[str | None]
-    """why there is nothing"""
+    """why a push says nothing"""
 
 
 class Reader:
-    """Reads pushes with the model of a rig: its curves over mu_s are solved once a setting."""
+    """Reads pushes with the model of a rig, whose curves over mu_s are solved once a setting."""
 
     def __init__(self, rig: Rig):
         self.rig = rig
@@ -63,23 +62,27 @@ class Reader:
         self._curves: dict[tuple[float, ...], TabulatedModel] = {}
 
     def curve(self, velocity: float, mass: float, stroke: float) -> TabulatedModel:
-        """F_p and d over mu_s of one setting, SI units; NaN: the rig's own."""
+        """Return F_p and d over mu_s at one setting, in SI units; NaN: the rig's own."""
         key = (float(velocity), *(-1.0 if np.isnan(x) else float(x) for x in (mass, stroke)))
         if key not in self._curves:
             if len(self._curves) >= _KEPT:
                 self._curves.pop(next(iter(self._curves)))
-            alone = Pushes(velocity=_one(velocity), mass=_one(mass), stroke=_one(stroke))
+            alone = Pushes(
+                velocity=_make_column(velocity),
+                mass=_make_column(mass),
+                stroke=_make_column(stroke),
+            )
             own = pick(make_push_rigs(self.rig, alone), 0)
             self._curves[key] = TabulatedModel.of(own, float(velocity), self._integrator)
         return self._curves[key]
 
     def sigma(self, pushes: Pushes) -> NDArray:
-        """(n, 2) errors of F_p [N] and d [m]; infinite where one was not measured."""
+        """Return the errors of F_p [N] and d [m] (n, 2), infinite where one was not measured."""
         measured = np.stack([pushes.peak_force, pushes.sliding_distance], axis=1)
         return np.where(np.isnan(measured), np.inf, fill_errors(pushes, self._noise))
 
     def read(self, pushes: Pushes, expected: float | None = None) -> Reading:
-        """What pushes say. A push that was not measured, or that no mu_s explains, has a reason.
+        """Read pushes. One that was not measured, or that no mu_s explains, gets a reason.
 
         `expected` is log mu_s as it was before, by default the rig's: where several mu_s give the
         measured d, the one is taken that is nearest to it, in 20 % of mu_s, and to the measured
@@ -105,6 +108,7 @@ class Reader:
     def _read(
         self, curve: TabulatedModel, pushes: Pushes, at: NDArray, expected: float, out: Reading
     ) -> None:
+        """Read the pushes `at`, which are of one setting, into `out`."""
         measured = np.stack([pushes.peak_force[at], pushes.sliding_distance[at]])
         sigma = out.sigma[at].T
         start = curve.find_roots(measured[1], "sliding_distance", expected, measured[0])
@@ -130,16 +134,8 @@ class Reader:
             out.reason[at[i]] = _why(curve, measured[:, i])
 
 
-def observed(
-    curve: TabulatedModel, new: dict, by: tuple[str, ...], rig: Rig | None = None
-) -> Batch:
-    """F_p, d and their derivatives at a setting with some parameters (n,) replaced."""
-    rig = parameters.with_values(curve.rig if rig is None else rig, new)
-    return observe_batch(rig, curve.velocity, derivatives=by)
-
-
 def _why(curve: TabulatedModel, measured: NDArray) -> str:
-    """Why a push says nothing of mu_s."""
+    """Return why a push of measured F_p and d (2,) says nothing of mu_s."""
     if np.isnan(measured).all():
         return "neither force nor distance was measured"
     which = 0 if np.isnan(measured[1]) else 1
@@ -154,5 +150,6 @@ def _why(curve: TabulatedModel, measured: NDArray) -> str:
     return f"no mu_s gives {name} = {scale * measured[which]:.4g} {unit}: the model, {ends}"
 
 
-def _one(value: float) -> NDArray:
+def _make_column(value: float) -> NDArray:
+    """A column of one row."""
     return np.array([value], float)

@@ -18,7 +18,7 @@ from nptdms import TdmsFile, TdmsWriter
 import difffric as df
 from difffric.fleet import identify_archive, workers
 from difffric.fleet.archive import find_files
-from difffric.fleet.columns import friction
+from difffric.fleet.columns import identify_columns
 from difffric.fleet.identify_archive import data_set, identify_fleet
 from difffric.identification.estimates import WAYS
 from difffric.rig.setup_toml import read_setup
@@ -82,7 +82,7 @@ def close(found, expected, tolerance=1e-12):
 
 def columns_are_those_of_identify(setup, pushes):
     """Estimates, standard errors and what stands beside them agree."""
-    table, answers = friction([(setup, pushes)])[0], df.identify(setup, pushes)
+    table, answers = identify_columns([(setup, pushes)])[0], df.identify(setup, pushes)
     for way in list(WAYS)[:-1]:
         assert close(table[way].to_numpy(), answers.values(way)), way
         assert close(table[f"{way}_se"].to_numpy(), answers.standard_errors(way)), way
@@ -142,8 +142,10 @@ def test_no_push_depends_on_those_beside_it(whole):
             next(iter(whole.folder.parent.parent.glob(f"*/archive/{name[0]}/setup.toml")))
         )
         parts[name[0]] = setup, identify_archive.features.to_pushes(rows)
-    together = pl.concat(friction(list(parts.values())))
-    single = [friction([(s, p.select([i]))])[0] for s, p in parts.values() for i in range(len(p))]
+    together = pl.concat(identify_columns(list(parts.values())))
+    single = [
+        identify_columns([(s, p.select([i]))])[0] for s, p in parts.values() for i in range(len(p))
+    ]
     assert together.equals(pl.concat(single))
 
 
