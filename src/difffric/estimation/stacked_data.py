@@ -107,8 +107,10 @@ def table_data(rig: Rig, pushes: Pushes, noise: Sequence[float | None]) -> tuple
 
 
 def slides_data(rig: Rig, pushes: Pushes, noise: float | None) -> FitData:
-    """Free slides: d from the release speed, whose error counts through dd/dv = 2 d / v. `noise` [m]
-    stands in as in `table_data`. Raises `InputError` where nothing was measured."""
+    """Free slides: d from the release speed, whose error counts through dd/dv = 2 d / v.
+
+    `noise` [m] stands in as in `table_data`. Raises `InputError` where nothing was measured.
+    """
     d, v = pushes.sliding_distance, pushes.release_velocity
     through = np.nan_to_num(2 * d / v * pushes.release_velocity_se)
     own = np.where(

@@ -9,9 +9,8 @@ import jax.numpy as jnp
 import optimistix as optx
 
 from difffric.compute.bracketed_newton import BracketedNewton
-from difffric.rig import parameters
+from difffric.identification.push_models import observe_at
 from difffric.rig.rig import Rig
-from difffric.simulation.observables import observe
 
 
 class Crossing(NamedTuple):
@@ -38,7 +37,7 @@ def find_crossing(
 
     def excess(log_mu_s, _):
         mu_s = jnp.exp(log_mu_s)
-        seen = observe(parameters.with_values(rig, {"mu_s": mu_s}), velocity, integrator)
+        seen = observe_at(rig, velocity, mu_s, integrator)
         ratio = jnp.where(by_force, seen.peak_force, seen.sliding_distance) / target
         # d is close to a power of mu_s, F_p to a straight line: each its own scale for Newton.
         value = jnp.where(by_force, ratio - 1.0, jnp.log(jnp.where(by_force, 1.0, ratio)))

@@ -23,8 +23,10 @@ from difffric.rig import parameters
 from difffric.rig.rig import Rig
 from difffric.rig.setup import Setup
 from difffric.simulation.events import Regime
+from difffric.simulation.families import MU_S, SPEEDS_MM_MIN
 from difffric.simulation.observables import observe, regime_of
 from difffric.simulation.segments import Integrator, default_integrator
+from difffric.units import from_mm_min
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,7 @@ class ResolvedPushes:
         integrator = integrator or default_integrator(known.rig)
         if range_ratio is None:
             free = pushes.free_slides
-            range_ratio = np.nan if free else compute_range_ratio(known.rig, integrator)
+            range_ratio = np.nan if free else _find_range_ratio(known, integrator)
         sensors = sensor_errors(known.rig)
         fallback = [s if np.isnan(f) else f for f, s in zip(known.spreads, sensors, strict=True)]
         rigs = _spread([rig for rig, _ in found], which, pushes)
@@ -209,6 +211,13 @@ def fill_errors(pushes: Pushes, fallback: NDArray | Sequence[float | None]) -> N
     (n, 2), where None and NaN say that it is not known."""
     own = np.stack([pushes.peak_force_se, pushes.sliding_distance_se], axis=1)
     return np.where(np.isnan(own), np.asarray(fallback, float), own)
+
+
+def _find_range_ratio(known: Calibration, integrator: Integrator | None) -> float:
+    """Equation (7)'s ratio of the ranges [N/m] over the paper's speeds and mu_s."""
+    v, mu_s = (x.ravel() for x in np.meshgrid(from_mm_min(SPEEDS_MM_MIN), MU_S, indexing="ij"))
+    rigs = _spread([known.rig], np.zeros(len(v), int), Pushes(velocity=v))
+    return compute_range_ratio(PushModels(rigs, v, integrator), mu_s)
 
 
 def _spread(rigs: Sequence[Rig], which: NDArray, pushes: Pushes) -> Rig:
