@@ -1,0 +1,16 @@
+"""The command line, `difffric`: each command prints tables for a person and leaves its answer in
+the folder that `--out` names.
+
+- `main` lists the commands, and imports a command's module when it is called.
+- `simulate`, `family`, `acquire`, `fit`, `identify`, `diagnose`, `monitor`, `ring`, `plan`,
+  `centre`, `export` and `paper` hold a function of their own name each: it checks the options,
+  calls the package that does the work, and hands what was found to its report.
+- `options` and `fleet_options` hold the options that several commands share; `console` shows
+  progress, prints tables and writes the folder; `live_view` shows pushes while they are recorded.
+- `reports` turns what was found into result.json and a page, `figures` into pictures.
+
+A new command is a function in a module of its own, a line in `main.COMMANDS`, and a report. Its
+imports stand at the top. Only what one call in many needs is imported inside a function, with a
+word that says so: data frames for a fleet, matplotlib through `figures`, which loads it on first
+use.
+"""

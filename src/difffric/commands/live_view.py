@@ -1,4 +1,4 @@
-"""Pushes shown while they come: a table that grows on a terminal, a line each elsewhere, and a
+"""Shows pushes while they come: a table that grows on a terminal, a line for each elsewhere, and a
 figure where one is asked for."""
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _WINDOWS = {"qtagg", "qt5agg", "tkagg", "gtk3agg", "gtk4agg", "wxagg", "macosx"}
 
 
 def list_notes(acquired: Acquired, found: LivePush | None) -> list[str]:
-    """What is to be said of a push beside its numbers."""
+    """Return what is to be said of a push beside its numbers, a line for each thing."""
     said = acquired.troubles
     if found is not None:
         said += found.problems
@@ -39,7 +39,7 @@ def list_notes(acquired: Acquired, found: LivePush | None) -> list[str]:
 
 
 def list_cells(acquired: Acquired, found: LivePush | None) -> list[str]:
-    """A push as a row of numbers."""
+    """Return a push as a row of numbers, written out."""
     speed = format_number(to_mm_min(acquired.command.velocity), 6)
     row = [acquired.name, speed, str(acquired.samples)]
     if found is None:
@@ -55,7 +55,7 @@ def list_cells(acquired: Acquired, found: LivePush | None) -> list[str]:
 
 
 class LiveView:
-    """Shows pushes on standard error, unless `quiet`. `identified`: with their mu_s."""
+    """Shows pushes on standard error, unless `quiet`; with their mu_s where `identified`."""
 
     def __init__(self, *, identified: bool, quiet: bool, console: Console | None = None):
         self._quiet = quiet
@@ -76,13 +76,13 @@ class LiveView:
             self._live.__exit__(*what)
 
     def tell(self, what: str, share: float) -> None:
-        """What goes on now: below the table, on a terminal only."""
+        """Show what goes on now, below the table; on a terminal only."""
         if self._live:
             self._now = what
             self._live.update(self._table(), refresh=True)
 
     def add(self, acquired: Acquired, found: LivePush | None) -> None:
-        """One more push."""
+        """Add a push to the table, or print its line."""
         row, said = list_cells(acquired, found), "; ".join(list_notes(acquired, found))
         if self._live:
             self._rows.append([*row, said])
@@ -97,7 +97,7 @@ class LiveView:
             self._console.print(Text(line), soft_wrap=True)
 
     def _table(self) -> Table:
-        """The last pushes, as many as the terminal has room for."""
+        """Return a table of the last pushes, as many as the terminal has room for."""
         table = Table(box=SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
         for i, name in enumerate(self._columns):
             table.add_column(Text(name), justify="right" if i else "left", no_wrap=True)
@@ -126,7 +126,7 @@ class LivePlot:
             self._figure = Figure(**size)
 
     def add(self, found: LivePush | None, recording: Recording) -> None:
-        """One more push."""
+        """Draw a push and its recording into the figure."""
         self._pushes.append(found)
         draw_live(self._figure, self._pushes, recording)
         if self._pyplot:

@@ -56,7 +56,7 @@ def draw_strokes(recordings: Sequence[Recording]) -> Figure:
 
 
 def draw_live(figure: Figure, pushes: Sequence[LivePush | None], last: Recording) -> None:
-    """The last push's force, and mu_s of all until now, into a figure."""
+    """Draw the last push's force, and mu_s of all until now, into a figure."""
     figure.clear()
     with matplotlib.rc_context(STYLE):
         left, right = figure.subplots(1, 2)

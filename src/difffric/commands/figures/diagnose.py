@@ -16,7 +16,7 @@ _BEFORE, _AFTER = "#c0392b", "#2c6fbb"
 
 
 def draw_misfit(found: Diagnosis) -> Figure:
-    """Chi-square per number of each push, force and position, before and after."""
+    """Draw chi-square per number of each push, force and position, before and after."""
     data = found.state.data
     counts = np.maximum(data.task.counts, 1)
     v = to_mm_min(np.asarray(data.measured.velocity))
@@ -89,7 +89,7 @@ def _one(ax, one: Misfit, causes: bool) -> None:
 
 
 def draw_residuals(found: Diagnosis, shown: int = 3) -> Figure:
-    """Whitened residuals over time of the pushes that fit worst, before and after."""
+    """Draw whitened residuals over time of the pushes that fit worst, before and after."""
     state, task = found.state, found.state.data.task
     worst = np.argsort(-state.lack_before.chi2.sum(axis=1) / task.counts.sum(axis=1))[:shown]
     with matplotlib.rc_context(STYLE):
@@ -114,7 +114,7 @@ def draw_residuals(found: Diagnosis, shown: int = 3) -> Figure:
 
 
 def draw_location(found: Location) -> Figure:
-    """What each free form explains, and the best one's curve with its band."""
+    """Draw what each free form explains, and the best one's curve with its band."""
     with matplotlib.rc_context(STYLE):
         figure, axes = make_figure(2, 9.6, 3.6)
         names = sorted(found.explained, key=lambda name: found.explained[name])

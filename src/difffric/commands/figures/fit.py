@@ -37,7 +37,7 @@ def _groups(conditions: Sequence[str]) -> list[tuple[str, NDArray, str, str]]:
 
 
 def draw_pushes(fit: Fit, beside: PushComparison) -> Figure:
-    """F_p and d over speed, measured and fitted, and what is left over."""
+    """Draw F_p and d over speed, measured and fitted, and what is left over."""
     v = to_mm_min(beside.velocity)
     labels = ("peak push force $F_p$ [N]", "sliding distance d [µm]")
     scale = np.array([1.0, to_um(1.0)])
@@ -90,7 +90,7 @@ def draw_pushes(fit: Fit, beside: PushComparison) -> Figure:
 
 
 def draw_own_friction(fit: Fit, order: NDArray) -> Figure:
-    """Each push's own mu_s over the order of the pushes, with the scatter about the means."""
+    """Draw each push's own mu_s over the order (n,) of the pushes, and the scatter about means."""
     with matplotlib.rc_context(STYLE):
         figure, ax = make_figure(width=7.6, height=3.8)
         for condition, mine, colour, marker in _groups(fit.conditions):
@@ -169,7 +169,7 @@ def _trace(top, bottom, trace: TraceComparison, scale: float, force: bool) -> No
 
 
 def draw_correlations(fit: Fit) -> Figure:
-    """The correlations of the free parameters."""
+    """Draw the correlations of the free parameters."""
     n = len(fit.free)
     with matplotlib.rc_context(STYLE):
         figure, ax = make_figure(width=2.4 + 0.75 * n, height=1.4 + 0.62 * n)
@@ -207,7 +207,7 @@ def _symbol(label: str) -> str:
 
 
 def draw_profiles(fit: Fit, found: Mapping[str, Profile]) -> Figure:
-    """How far chi-square rises with each parameter, beside the parabola of its standard error."""
+    """Draw the rise of chi-square with each parameter, beside its standard error's parabola."""
     columns = min(len(found), 3)
     rows = -(-len(found) // columns)
     with matplotlib.rc_context(STYLE):
@@ -228,7 +228,7 @@ def draw_profiles(fit: Fit, found: Mapping[str, Profile]) -> Figure:
 
 
 def _profile(ax, one: Profile, sigma: float | None) -> None:
-    """One panel: the profile up to a little beyond its widest interval."""
+    """Draw one panel: the profile up to a little beyond its widest interval."""
     curve = one.curve[np.isfinite(one.curve[:, 1])]
     ends = [x for pair in one.intervals.values() for x in pair if x is not None]
     low, high = (f([*ends, one.value]) for f in (min, max))
@@ -256,7 +256,7 @@ def _profile(ax, one: Profile, sigma: float | None) -> None:
 
 
 def draw_identified(found: Identified, velocity: NDArray) -> Figure:
-    """mu_s of each push over its speed [m/s], a panel for each way to it."""
+    """Draw mu_s of each push over its speed (n,) [m/s], a panel for each way to it."""
     ways = [way for way in WAYS if np.isfinite(found.values(way)).any()] or ["mu_s_optimal"]
     v = to_mm_min(velocity)
     best = np.array([np.nan if p.best.value is None else p.best.value for p in found])
@@ -298,7 +298,7 @@ def draw_identified(found: Identified, velocity: NDArray) -> Figure:
 
 
 def draw_best_estimates(found: Identified, order: NDArray, summary: Mapping[str, Any]) -> Figure:
-    """The best mu_s of each push over the order of the pushes, with each condition's mean."""
+    """Draw the best mu_s of each push over the order (n,) of the pushes, and the means."""
     with matplotlib.rc_context(STYLE):
         figure, ax = make_figure(width=7.6, height=3.8)
         conditions = [p.condition for p in found]

@@ -17,13 +17,15 @@ MOST = 12
 
 
 def draw_by_date(days: Mapping[str, Sequence[Mapping]]) -> Figure:
-    """Rig -> its days (`date`, `mu_s_mean`, `spread`): the mean of each day, bars of one standard
-    deviation between its pushes."""
+    """Draw the mean mu_s of each day, with bars of one standard deviation between its pushes.
+
+    `days` has for each rig its days, each with `date`, `mu_s_mean` and `spread`.
+    """
     ranked = sorted(days, key=lambda rig: -len(days[rig]))
     named = set(ranked[:MOST])
     with matplotlib.rc_context(STYLE):
         figure, ax = make_figure(width=8.6, height=4.6)
-        colours = iter(matplotlib.colormaps["tab20"].colors)  # type: ignore[attr-defined]
+        colours = iter(matplotlib.color_sequences["tab20"])
         for rig, rows in days.items():
             at = date2num([date.fromisoformat(row["date"]) for row in rows])
             mean = np.array([row["mu_s_mean"] for row in rows], float)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -72,7 +73,8 @@ def draw_matrix(
         bar.set_ticks([0, 2, 4, 6, 8, 10], labels=["1", *(f"$10^{{-{k}}}$" for k in (2, 4, 6, 8)),
                                                   "$10^{-10}$"])  # fmt: skip
         bar.set_label("probability that chance\ngives as much", fontsize=9)
-        bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
+        outline: Any = bar.outline  # matplotlib's stubs take it for a function
+        outline.set_visible(False)
         handles = [
             Line2D([], [], ls="", marker="o", **_look(NAMED), label="named"),
             Line2D([], [], ls="", marker="o", **_look(POSSIBLE), label="cannot be told from it"),

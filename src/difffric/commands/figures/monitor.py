@@ -52,7 +52,7 @@ def draw_charts(monitor: Monitor) -> Figure:
 
 
 def _parts(pushes: Sequence[PushRecord]) -> dict[str, list[PushRecord]]:
-    """What a person calls each part -> its pushes."""
+    """Return the pushes of each part, by what a person calls the part."""
     found: dict[str, list[PushRecord]] = {}
     for x in pushes:
         if x.mu_s is not None:

@@ -19,7 +19,7 @@ _MARKERS = {"DRY": "o", "OILY": "s"}
 
 
 def draw_response(trajectories: Mapping[str, Trajectory], what: str) -> Figure:
-    """Position (Figure II.3) or contact force (Figure II.4) over time; `what` says which."""
+    """Draw the position (Figure II.3) or the force (Figure II.4) over time; `what` says which."""
     with matplotlib.rc_context(STYLE):
         figure, ax = make_figure()
         for style, (label, trajectory) in zip(("-", "--"), trajectories.items(), strict=False):
@@ -45,8 +45,10 @@ def draw_response(trajectories: Mapping[str, Trajectory], what: str) -> Figure:
 
 
 def draw_families(family: Family, what: str, measured: Paper | None = None) -> Figure:
-    """F_p (Figure II.5) or d (Figure II.6) over speed, one curve a mu_s; dashed, the published
-    surrogate (3) or (5)."""
+    """Draw F_p (Figure II.5) or d (Figure II.6) over speed, a curve for each mu_s.
+
+    The published surrogate (3) or (5) is dashed.
+    """
     with matplotlib.rc_context(STYLE):
         figure, ax = make_figure()
         shown = np.unique(np.linspace(0, len(family.mu_s) - 1, 6).round().astype(int))
@@ -90,7 +92,7 @@ def _draw_measured(ax, paper: Paper, force: bool):
 
 
 def draw_residuals(paper: Paper) -> Figure:
-    """What equation (2) gets wrong: measured minus model at the gauge's mu_s, over speed."""
+    """Draw what equation (2) gets wrong: measured minus model at the gauge's mu_s, over speed."""
     p, c = paper.pushes, paper.calibration
     v = to_mm_min(p.velocity)
     panels = (
@@ -125,7 +127,7 @@ def draw_residuals(paper: Paper) -> Figure:
 
 
 def draw_identified(paper: Paper) -> Figure:
-    """mu_s of every push by four ways, each speed judged by a calibration without it."""
+    """Draw mu_s of every push by four ways, each speed judged by a calibration without it."""
     rows, combined = paper.list_rows(), paper.list_weighted()
     panels = (
         ("from the force", [r for r in rows if r["quantity"] == "peak_force_N"], "mu_s_model"),

@@ -20,7 +20,7 @@ _BLUE, _RED, _GREY = "#1f6f8b", "#b4532a", "0.55"
 
 
 def draw_speeds(found: Plan, known: Known) -> Figure:
-    """What the push to the target would be at each speed."""
+    """Draw what the push to the target would be at each speed."""
     first, step = found.options, found.next
     v = to_mm_min(first.velocity)
     figure, (top, middle, bottom) = make_figure(rows=3, width=7.6, height=6.0, sharex=True)
@@ -51,14 +51,14 @@ def draw_speeds(found: Plan, known: Known) -> Figure:
 
 
 def _middle(landing):
-    """Half the width of the middle 68 % over quantiles (the last axis)."""
+    """Return half the width of the middle 68 % of quantiles, which lie along the last axis."""
     n = landing.shape[-1]
     k = round(0.26 * n)  # the quantiles at 0.13 and 0.87, 1.13 deviations away
     return np.abs(landing[..., n - 1 - k] - landing[..., k]) / 2.26
 
 
 def draw_run(centering: Centering, known: Known, truth: NDArray) -> Figure:
-    """One centred ring as a strip: how far it was off after each push, as it was known and in
+    """Draw one centred ring as a strip: how far it was off after each push, as it was known and in
     `truth` (pushes + 1, 2) [m], where each push was expected to land, what was known of mu_s."""
     figure, (left, right) = make_figure(columns=2, width=8.4, height=3.8, width_ratios=(2, 1))
     pushes, n = centering.pushes, len(centering.pushes)
@@ -100,7 +100,7 @@ def draw_run(centering: Centering, known: Known, truth: NDArray) -> Figure:
 
 
 def draw_times(ways: Mapping[str, Sequence[float]]) -> Figure:
-    """How long each way took to centre the rings [s]; infinite where it did not."""
+    """Draw how long each way took to centre the rings [s]; infinite where it did not."""
     figure, ax = make_figure(width=7.0, height=3.6)
     colours = (_BLUE, _RED, "#5b7f3b", "#7a4f9a", "#b08a1e", "#555555")
     every = np.concatenate([np.asarray(t, float) for t in ways.values()])

@@ -22,7 +22,7 @@ _USE = {
 
 
 def draw_predictor(exported: Exported, rig: Rig) -> Figure:
-    """Error of mu_s from F_p and from d over speed and mu_s, and which of them is used where."""
+    """Draw the errors of mu_s from F_p and from d over the box, and which is used where."""
     p, n = exported.predictor, 180 if rig.affine else 60
     box: Box = p.box
     v = np.linspace(box.slowest, box.fastest, n)

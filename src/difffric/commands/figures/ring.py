@@ -73,7 +73,7 @@ def draw_ring(angle: NDArray, radius: NDArray, ring: Ring) -> Figure:
 
 
 def _lobes(ax, degrees, good, turn, ring: Ring):
-    """The form that the fit found, and the readings less all but the form."""
+    """Draw the form that the fit found, and the readings less all but the form."""
     form = to_um(evaluate_surface(ring, turn) - evaluate_surface(ring, turn, lobes=False))
     at = np.interp(degrees, np.degrees(turn), form)
     ax.plot(degrees[good], (at + to_um(ring.residuals))[good], ".", color="#333", ms=2.5,

@@ -27,15 +27,20 @@ STYLE: Any = {
 
 
 def choose_colours(conditions: Sequence[str]) -> dict[str, str]:
-    """A colour for each condition, in order of appearance; DRY and OILY have their own."""
+    """Return a colour for each condition, in order of appearance; DRY and OILY have their own."""
     names = list(dict.fromkeys(conditions))
     taken = {COLOURS[c] for c in names if c in COLOURS}
     others = cycle([c for c in _OTHERS if c not in taken])
     return {c: COLOURS[c] if c in COLOURS else next(others) for c in names}
 
 
-def make_figure(columns=1, width=6.4, height=4.0, rows=1, **options) -> tuple[Figure, Any]:
-    """An empty figure [inches] in the style of all, with its axes."""
+def make_figure(
+    columns: int = 1, width: float = 6.4, height: float = 4.0, rows: int = 1, **options: Any
+) -> tuple[Figure, Any]:
+    """Return an empty figure in the style of all, and its axes; `options` are those of `subplots`.
+
+    Width and height are in inches.
+    """
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
         axes = figure.subplots(rows, columns, **options)

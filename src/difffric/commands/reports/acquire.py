@@ -1,5 +1,5 @@
-"""`difffric acquire`: the pushes to make, recorded and identified as they come, what was recorded
-as result.json holds it, and its report."""
+"""What `difffric acquire` does with a card: pushes recorded and identified as they come; its answer
+and report."""
 
 from __future__ import annotations
 
@@ -31,9 +31,13 @@ NO_STROKE = "No stroke is given: 2 mm is commanded."
 _WAYS = ("mu_s_force", "mu_s_distance", "mu_s_weighted", "mu_s_optimal")
 
 
-def plan_commands(speeds_mm_min: Sequence[float], *, stroke=None, mass=np.nan) -> list[Command]:
-    """The pushes to make, in order; the paper's speeds twice where none are given. SI units but
-    for the speeds [mm/min]."""
+def plan_commands(
+    speeds_mm_min: Sequence[float], *, stroke: float | None = None, mass: float = np.nan
+) -> list[Command]:
+    """Return the pushes to make, in order: speeds [mm/min], stroke [m], mass [kg].
+
+    Where no speeds are given they are those of the paper, twice; without a stroke it is `STROKE`.
+    """
     speeds = speeds_mm_min or 2 * PAPER_SPEEDS_MM_MIN
     travel = STROKE if stroke is None else float(stroke)
     return [Command(from_mm_min(v), travel, float(mass)) for v in speeds]
@@ -97,8 +101,10 @@ def record(
 
 
 def require_all_samples(run: Run) -> None:
-    """Raises `CardError` where the card took samples that did not come: lost samples are a
-    failure, also where all else was recorded."""
+    """Raise `CardError` where the card took samples that did not come.
+
+    Lost samples are a failure, also where all else was recorded.
+    """
     cut = [one for one in run.acquired if one.lost]
     if cut:
         why = "a FIFO was full" if any(x.hardware.overflow for x in cut) else "words are missing"
@@ -109,9 +115,14 @@ def require_all_samples(run: Run) -> None:
         )
 
 
-def describe_run(run: Run, *, truth: Sequence[dict] = (), seed=None, stroke=None) -> dict:
-    """What was recorded, as `difffric acquire` writes it. `truth` has an entry a push where the
-    pushes were simulated; `stroke` says so where none was given."""
+def describe_run(
+    run: Run, *, truth: Sequence[dict] = (), seed: int | None = None, stroke: str | None = None
+) -> dict:
+    """Return what was recorded as result.json holds it.
+
+    `truth` has an entry for each push where the pushes were simulated; `stroke` is the note that
+    none was given.
+    """
     pushes = [
         {
             "name": one.name,
@@ -181,7 +192,7 @@ def _describe_friction(found: LivePush | None) -> dict:
 
 
 def report_run(answer: dict, run: Run, pictures: bool = False) -> Report:
-    """What was recorded, for a person."""
+    """Return the report of what was recorded; with figures where there are to be pictures."""
     lost = answer["lost_samples"]
     source = "simulated" if answer["simulated"] else "of the card"
     summary = [

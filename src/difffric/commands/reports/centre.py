@@ -1,4 +1,4 @@
-"""`difffric centre`: rings centred on a simulated machine, as result.json holds them."""
+"""The answer and report of `difffric centre`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from difffric.units import to_um
 
 
 def describe_centering(found: Sequence[CenteringRun], known: Known, seed: int) -> dict:
-    """All runs, as `difffric centre` writes them."""
+    """Return all runs as result.json holds them."""
     return {
         "within_m": known.within,
         "seed": seed,
@@ -66,8 +66,11 @@ def _drop_nan(x: float) -> float | None:
 
 
 def assess_probabilities(stated: NDArray, landed: NDArray) -> dict:
-    """Stated probabilities of landing against how often the ring did: the slope of a straight
-    line through the outcomes, its standard error, and the shares in ten bins."""
+    """Hold stated probabilities (n,) of landing against whether the rings landed (n,), 1 or 0.
+
+    Returns the slope of a straight line through the outcomes, which is 1 where the probabilities
+    are right, its standard error, and the shares in bins of probability.
+    """
     out: dict = {"pushes": len(stated), "slope": None, "slope_standard_error": None, "bins": []}
     if len(stated) > 10 and np.ptp(stated) > 0:
         A = np.stack([np.ones_like(stated), stated], axis=1)
@@ -95,7 +98,7 @@ def _pair_outcomes(found: Sequence[CenteringRun], known: Known):
 def report_centering(
     answer: dict, found: Sequence[CenteringRun], known: Known, pictures: bool
 ) -> Report:
-    """All runs for a person."""
+    """Return the report of all runs; with figures where there are to be pictures."""
     ways, ours = answer["ways"], answer["ways"][OURS]
     within = f"{to_um(known.within):g} µm"
     summary = [
@@ -154,7 +157,7 @@ def report_centering(
 
 
 def _find_times(found: Sequence[CenteringRun], known: Known) -> list[float]:
-    """Infinite where the ring was not centred."""
+    """Return the time of each run [s], infinite where its ring was not centred."""
     return [r.centering.time if r.is_centred(known.within) else np.inf for r in found]
 
 

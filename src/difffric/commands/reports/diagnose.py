@@ -1,4 +1,4 @@
-"""`difffric diagnose`: the verdict as result.json holds it, the extended set-up, the report."""
+"""The report of `difffric diagnose`; the answer is the diagnosis' own `as_dict`."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _COLUMNS = (
 
 
 def tabulate_considered(found: Diagnosis, gain: str = "gain held out") -> Table:
-    """The leading effects, each alone on top of the plain model."""
+    """Return a table of the leading effects, each alone on top of the plain model."""
     rows = [
         [
             cause.id,
@@ -69,7 +69,7 @@ def tabulate_considered(found: Diagnosis, gain: str = "gain held out") -> Table:
 
 
 def tabulate_experiments(found: Diagnosis) -> Table:
-    """The pushes that would tell more."""
+    """Return a table of the pushes that would tell more."""
     rows = [
         [
             " or ".join(x if x != "plain" else "nothing" for x in one.separates),
@@ -87,7 +87,7 @@ def tabulate_experiments(found: Diagnosis) -> Table:
 
 
 def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
-    """The diagnosis for a person."""
+    """Return the report of a diagnosis; with figures where there are to be pictures."""
     g = found.gain
     summary = [_VERDICTS.get(found.verdict, _UNEXPLAINED)]
     summary += [f"{cause.id}: {cause.text}." for cause in found.causes]

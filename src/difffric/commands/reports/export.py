@@ -20,7 +20,7 @@ _NAMES = {"force": "F_p", "distance": "d", "either": "either"}
 
 
 def describe_predictor(exported: Exported, rig: Rig) -> dict:
-    """As result.json holds it; predictor.json has the cells too."""
+    """Return the predictor as result.json holds it; predictor.json has the cells, too."""
     p = exported.predictor
     F_se, d_se = sensor_errors(rig)
     return {
@@ -61,7 +61,7 @@ def render_files(exported: Exported, rig: Rig) -> dict[str, bytes]:
 
 
 def report_predictor(exported: Exported, rig: Rig) -> Report:
-    """The predictor for a person."""
+    """Return the report of a predictor, with its figure."""
     p = exported.predictor
 
     def format_percent(value, digits=3):

@@ -19,7 +19,7 @@ from difffric.units import to_um
 
 
 def describe_family(family: Family) -> dict:
-    """The families and their fits, as `difffric family` writes them."""
+    """Return the families and their fits as result.json holds them."""
     force, distance = fit_force(family), fit_distance(family)
     return {
         "velocity_m_per_s": family.velocity,
@@ -51,7 +51,7 @@ def _measure_misfit(family: Family, force, distance) -> dict:
 
 
 def report_family(answer: dict, family: Family, rig: Rig) -> Report:
-    """The families for a person."""
+    """Return the report of the families, with their figures."""
     rows = []
     for equation in ("equation_3", "equation_5"):
         for name, fitted in answer[equation]["fitted"].items():

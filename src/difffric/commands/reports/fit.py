@@ -1,4 +1,4 @@
-"""`difffric fit`: the calibration as result.json holds it, the fitted set-up, and the report."""
+"""The answer and report of `difffric fit`."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ class Answer:
 
     @classmethod
     def of(cls, fit: Fit) -> Answer:
-        """The fit beside the pushes that it was fitted to."""
+        """Set a fit beside the pushes that it was fitted to."""
         return cls(
             fit, compare_pushes(fit, fit.pushes), fill_order(fit.pushes.order), fit.push_names
         )
 
     def as_dict(self) -> dict:
-        """As result.json holds it: what the fit gives, and more of each push."""
+        """Return what result.json holds: what the fit gives, and more of each push."""
         answer, b = self.fit.as_dict(), self.beside
         chi2 = self.fit.chi2_per_sample
         speed = "release_velocity_m_per_s" if self.fit.kind == "slides" else "velocity_m_per_s"
@@ -78,7 +78,7 @@ class Answer:
 
 
 def add_more(answer: Answer, profile: bool, push: bool, tell: Tell = silent) -> Answer:
-    """The answer with profiles, and with the next push to make, where they are asked for."""
+    """Return the answer with profiles and with the next push to make, where asked for."""
     if profile:
         answer = replace(answer, profiles=profiled(answer.fit, tell=tell))
     if push:
@@ -91,12 +91,12 @@ def add_more(answer: Answer, profile: bool, push: bool, tell: Tell = silent) -> 
 
 
 def fill_order(order: NDArray) -> NDArray:
-    """The order that the data say, if they say it of every push; else as they stand."""
+    """Return the order (n,) that the data say, or as they stand where it lacks for any push."""
     return np.arange(1.0, len(order) + 1) if np.isnan(order).any() else order
 
 
 def report_fit(answer: Answer, pictures: bool) -> Report:
-    """The calibration for a person."""
+    """Return the report of a calibration; with figures where there are to be pictures."""
     fit = answer.fit
     sections = [
         Section(
@@ -291,7 +291,7 @@ def _draw_pushes(answer: Answer) -> list[Picture]:
 
 
 def _choose_typical(velocity: NDArray) -> list[int]:
-    """Up to `SHOWN` pushes, from the slowest to the fastest."""
+    """Return the places of up to `SHOWN` pushes, spread from the slowest to the fastest."""
     order = np.argsort(velocity, kind="stable")
     places = np.linspace(0, len(order) - 1, min(SHOWN, len(order))).round().astype(int)
     return [int(order[i]) for i in places]

@@ -1,4 +1,4 @@
-"""`difffric diagnose ARCHIVE`: what result.json and the report say of a fleet."""
+"""The answer and report of `difffric diagnose ARCHIVE`."""
 
 from __future__ import annotations
 
@@ -27,8 +27,10 @@ from difffric.number_text import format_number, format_pair
 
 
 def describe_fleet_diagnosis(found: FleetDiagnosis) -> dict:
-    """The fleet's diagnosis as `result.json` holds it. Nothing in it says how often a run was
-    interrupted."""
+    """Return the fleet's diagnosis as result.json holds it.
+
+    Nothing in it says how often a run was interrupted: an interrupted one ends in the same bytes.
+    """
     rigs = []
     for rig, a in sorted(found.answers.items()):
         causes = a["diagnosis"]["causes"]
@@ -98,7 +100,7 @@ def _describe_shared(found: FleetDiagnosis, one: Shared) -> dict:
 
 
 def report_fleet_diagnosis(found: FleetDiagnosis, pictures: bool) -> Report:
-    """The fleet's diagnosis for a person."""
+    """Return the report of a fleet's diagnosis; with figures where there are to be pictures."""
     sections = []
     if found.found.shared:
         rows = [row for one in found.found.shared for row in _list_shared(one)]

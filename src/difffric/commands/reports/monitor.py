@@ -1,4 +1,4 @@
-"""`difffric monitor`: what was seen as result.json holds it, its report, the line of an alarm."""
+"""The answer and report of `difffric monitor`, and the line that tells an alarm at once."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ from difffric.units import to_mm_min
 
 ALARM = 3
 """Exit status where there was an alarm in this run."""
-_SHOWN = 20  # last pushes in the printed table
+_SHOWN = 20
+"""Last pushes in the printed table: as many as a terminal shows at once."""
 
 
 class ExplainedAlarm(NamedTuple):
@@ -33,7 +34,7 @@ class ExplainedAlarm(NamedTuple):
 
 
 def explain_alarms(monitor: Monitor) -> list[ExplainedAlarm]:
-    """All alarms, by what is known now."""
+    """Return all alarms with what may have changed, by all pushes that there are by now."""
     out = []
     for alarm in monitor.alarms:
         causes = alarm.causes(monitor.reader)
@@ -42,19 +43,19 @@ def explain_alarms(monitor: Monitor) -> list[ExplainedAlarm]:
 
 
 def find_new_alarms(feed: Feed) -> list[Alarm]:
-    """Those of this run."""
+    """Return the alarms of this run, without those that the state file knew before."""
     return [a for a in feed.monitor.alarms if a.push > feed.before]
 
 
 def format_alarm(monitor: Monitor, alarm: Alarm, words: str) -> str:
-    """An alarm for a person."""
+    """Return the line that tells an alarm: where, what may have changed, and since when."""
     places = {x.number: x for x in monitor.kept}
     at, since = _format_place(places, alarm.push), _format_place(places, alarm.change)
     return f"ALARM at {at}: {words}; since {since} ({alarm.kind})"
 
 
 def make_teller(feed: Feed) -> Callable[[PushRecord], None]:
-    """Says each alarm as it comes."""
+    """Return a function that prints the alarm of a push, if it has one; `Feed` calls it."""
 
     def tell_alarm(seen: PushRecord) -> None:
         if seen.alarm:
@@ -72,7 +73,10 @@ def _format_place(pushes: dict[int, PushRecord], which: int) -> str:
 
 
 def describe_monitor(feed: Feed, alarms: list[ExplainedAlarm]) -> dict:
-    """What was seen, as `difffric monitor` writes it."""
+    """Return what was seen as result.json holds it.
+
+    Raises `InputError` where there was no push at all.
+    """
     monitor = feed.monitor
     if monitor.count == 0:
         raise InputError("no pushes: at least one is needed")
@@ -137,7 +141,7 @@ def _describe_push(x: PushRecord) -> dict:
 
 
 def _describe_parts(monitor: Monitor) -> list[dict]:
-    """The state of each part, and the mean of each of its speeds since the last alarm."""
+    """Return the state of each part, with the mean of each speed since the last alarm."""
     out = []
     for key, (condition, mass) in monitor.parts.items():
         level = monitor.levels.get(key)
@@ -194,7 +198,7 @@ def _list_notes(monitor: Monitor) -> list[str]:
 def report_monitor(
     feed: Feed, answer: dict, alarms: list[ExplainedAlarm], pictures: bool
 ) -> Report:
-    """What was seen, for a person."""
+    """Return the report of a watched machine; with figures where there are to be pictures."""
     monitor = feed.monitor
     new = monitor.count - feed.before
     lines = [format_alarm(monitor, x.alarm, x.words) for x in alarms if x.alarm.push > feed.before]

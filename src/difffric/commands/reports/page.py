@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from difffric.output_folder import open_folder, to_json_types
 
@@ -61,12 +61,12 @@ class Report:
 
     @property
     def pictures(self) -> list[Picture]:
-        """All figures, in order."""
+        """All figures of all sections, in order."""
         return [p for s in self.sections for p in s.pictures]
 
 
 def render(report: Report) -> str:
-    """The page, with its figures inside."""
+    """Return the report as one HTML page, with its figures inside."""
     import jinja2  # here, so that a command without --out starts faster
 
     template = resources.files("difffric.commands.reports").joinpath("report_template.html")
@@ -85,9 +85,12 @@ def _render_png(figure: Figure, dpi: int) -> bytes:
 
 
 def write_folder(
-    folder: str | os.PathLike, answer, report: Report, files: Mapping[str, bytes] | None = None
+    folder: str | os.PathLike, answer: Any, report: Report, files: Mapping[str, bytes] | None = None
 ) -> Path:
-    """Write result.json, report.html, the figures and other `files`; all of them or none."""
+    """Write result.json, report.html, the figures and other `files`; all of them or none.
+
+    Returns the folder. Raises `InputError` where it cannot be written.
+    """
     contents = {
         **(files or {}),
         "result.json": (

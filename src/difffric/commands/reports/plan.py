@@ -25,7 +25,7 @@ SOURCES = {
 
 
 def replace_mu_s(setup: Setup, mu_s: float | None, error: float | None) -> Setup:
-    """The set-up with another mu_s, or another standard error of it."""
+    """Return the set-up with another mu_s, or another standard error of it, where given."""
     rig = setup.rig if mu_s is None else parameters.with_values(setup.rig, {"mu_s": mu_s})
     extras = dict(setup.extras)
     if mu_s is not None or error is not None:
@@ -50,7 +50,7 @@ def find_offset(
 
 
 def list_notes(setup: Setup) -> list[str]:
-    """What the set-up does not say, and what is taken instead."""
+    """Return a line for each thing that the set-up does not say, and what is taken instead."""
     said = setup.extras.get("mu_s", Extras()).standard_error
     notes = []
     if setup.mu_s_scatter is None:
@@ -63,7 +63,7 @@ def list_notes(setup: Setup) -> list[str]:
 
 
 def describe_push(step: PlannedPush) -> dict:
-    """A push as result.json has it (SI)."""
+    """Return a planned push as result.json holds it."""
     return {
         "velocity_m_per_s": step.velocity,
         "stroke_m": step.stroke,
@@ -78,7 +78,7 @@ def describe_push(step: PlannedPush) -> dict:
 
 
 def describe_plan(found: Plan, known: Known, ring: Ring | None, notes: list[str]) -> dict:
-    """A plan as `difffric plan` writes it."""
+    """Return a plan as result.json holds it."""
     mean, error = known.mu_s.mean
     first = found.options
     return {
@@ -112,7 +112,7 @@ def _drop_nan(x) -> float | None:
 def report_plan(
     found: Plan, known: Known, answer: dict, ring: Ring | None, pictures: bool
 ) -> Report:
-    """A plan for a person."""
+    """Return the report of a plan; with figures where there are to be pictures."""
     step = found.next
     turn = [] if ring is None else [f"turn the ring to {np.degrees(ring.direction):.3f} degrees"]
     line = ", ".join(

@@ -13,7 +13,7 @@ from difffric.units import to_mm, to_um
 
 
 def report_ring(ring: Ring, angle: NDArray, radius: NDArray, pictures: bool = True) -> Report:
-    """A measured ring for a person. `angle` [rad], `radius` [m]."""
+    """Return the report of a ring that was measured at angles (n,) [rad] and radii (n,) [m]."""
     rows = [
         ["offset [µm]", *format_pair(to_um(ring.offset), to_um(ring.offset_se))],
         ["direction [degrees]", *format_pair(*np.degrees([ring.direction, ring.direction_se]))],

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from difffric.commands import figures
@@ -16,7 +18,7 @@ from difffric.units import from_mm_min, to_um
 
 
 def describe_simulation(rig: Rig, velocity: float) -> dict:
-    """One push, as `difffric simulate` writes it."""
+    """Simulate a push at a speed [m/s] and return it as result.json holds it."""
     found = sensitivity(rig, velocity)
     seen = found.observables
     margin = regime_margin(rig, velocity)
@@ -41,7 +43,7 @@ def describe_simulation(rig: Rig, velocity: float) -> dict:
 
 
 def draw_simulation(rig: Rig, velocity: float) -> list[Picture]:
-    """Position and force over time."""
+    """Simulate the push once more, and draw its position and force over time."""
     push = {"": simulate(rig, velocity)}
     return [
         Picture(
@@ -53,8 +55,10 @@ def draw_simulation(rig: Rig, velocity: float) -> list[Picture]:
     ]
 
 
-def report_simulation(answer: dict, velocity_mm_min: float, rig: Rig, pictures) -> Report:
-    """One push for a person."""
+def report_simulation(
+    answer: dict, velocity_mm_min: float, rig: Rig, pictures: Sequence[Picture]
+) -> Report:
+    """Return the report of one push."""
     d = answer["sliding_distance_m"]
     distance = (
         f"d = {format_number(to_um(d), 6)} µm" if d is not None else f"d: none ({answer['reason']})"
