@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.estimation.residuals import Grid, TracePush
-from difffric.measurements.noise import Noise, whitening
+from difffric.measurements.noise import Noise, make_whitening
 from difffric.measurements.recordings import Channel, Recording, Recordings
 from difffric.measurements.reduction.reduce import Reduced
 
@@ -114,7 +114,7 @@ def stack_even(
             if channel is r.force:
                 reach = (1.0 if size == 1 else 1.5 * size) * channel.dt + guard
                 keep = (np.abs(t[:, None] - beside) > reach).all(axis=1)
-            row.append((t, y, keep, noise.averaged(size), size, channel.dt * size))
+            row.append((t, y, keep, noise.average(size), size, channel.dt * size))
         made.append(row)
     longest = max(len(c[0]) for row in made for c in row if c is not None)
     length = int(2 ** np.ceil(np.log2(max(longest, 256))))
@@ -151,7 +151,7 @@ def _make_grid(
     n = len(t)
     out["y"][:n] = y
     kept = np.flatnonzero(keep)
-    map_ = whitening(kept, Noise(1.0, noise.correlation))
+    map_ = make_whitening(kept, Noise(1.0, noise.correlation))
     out["a"][kept], out["b"][kept] = map_.scale, map_.back
     before = np.zeros(length, int)
     before[kept[1:]] = kept[:-1]

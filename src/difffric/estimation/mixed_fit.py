@@ -114,7 +114,7 @@ def _add_bounds(model: Model, data: FitData, at: Settled, factor: NDArray | floa
     found = at.components
     if not (at.held & (at.theta > NOTHING)).any():
         return found
-    covariance, step = _free_held(model, data, at, factor)
+    covariance, step = _solve_unheld(model, data, at, factor)
     freedom = np.where(np.isfinite(found.freedom), found.freedom, np.min(found.freedom))
     return found._replace(covariance=covariance, step=step, freedom=freedom)
 
@@ -122,10 +122,10 @@ def _add_bounds(model: Model, data: FitData, at: Settled, factor: NDArray | floa
 def full_covariance(model: Model, data: FitData, at: Settled) -> NDArray:
     """The covariance (P, P) of the coordinates as if none were at a bound, except a damping that
     has vanished."""
-    return _free_held(model, data, at, 1.0)[0]
+    return _solve_unheld(model, data, at, 1.0)[0]
 
 
-def _free_held(
+def _solve_unheld(
     model: Model, data: FitData, at: Settled, factor: NDArray | float
 ) -> tuple[NDArray, NDArray]:
     """The covariance (P, P) and the generalised least-squares step (P,) as if none were at a bound,
