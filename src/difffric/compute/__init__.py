@@ -1,0 +1,21 @@
+"""What JAX, XLA and root finding need that has nothing to do with a push: no mechanics is here.
+
+Compiling
+: `program_cache.cache_program` compiles a function and keeps its programs on disk, in folders that
+  `private_folder` guards. `xla_options.compile_soon` is the same for a large program that runs
+  seldom; `xla_options.in_one_piece` makes one native function of a computation of many small loops.
+  `precision.require_float64` refuses 32 bits.
+
+Roots and minima
+: `event_root.find_falling_root` for the time of an event, with exact derivatives of every order.
+  `bracketed_newton.BracketedNewton` as a root finder of optimistix, where no derivative is needed.
+  `hermite` for the first root of a guard known at both ends of a step.
+  `levenberg_marquardt` for a fit of many pushes.
+
+Numbers
+: `elementary_functions` are sine, arctangent, logarithm and quotient that vectorise;
+  `smooth_extension` continues a law beyond the place where it begins; `pytrees` treats a tree of
+  numbers as one number.
+
+A new module belongs here if it would read the same in a library on another subject.
+"""

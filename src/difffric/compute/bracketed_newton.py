@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
+from jax import Array
 
 from difffric.compute.event_root import HIT
 
 
-class _Bracket(eqx.Module):
-    lower: jax.Array
-    upper: jax.Array
-    step: jax.Array
-    slope: jax.Array
-    arrived: jax.Array
+class _BracketState(eqx.Module):
+    """The bracket, the last step, the slope where it began, and whether the root is there."""
+
+    lower: Array
+    upper: Array
+    step: Array
+    slope: Array
+    arrived: Array
 
 
 class BracketedNewton(optx.AbstractRootFinder):
@@ -32,12 +36,31 @@ class BracketedNewton(optx.AbstractRootFinder):
     rtol: float = 0.0
     norm: Any = jnp.abs
 
-    def init(self, fn, y, args, options, f_struct, aux_struct, tags):
+    def init(
+        self,
+        fn: Callable,
+        y: Array,
+        args: Any,
+        options: dict[str, Any],
+        f_struct: Any,
+        aux_struct: Any,
+        tags: frozenset[object],
+    ) -> _BracketState:
+        """The state before the first step."""
         lower, upper = (jnp.asarray(options[key], float) for key in ("lower", "upper"))
         nothing = jnp.asarray(jnp.nan)
-        return _Bracket(lower, upper, jnp.asarray(jnp.inf), nothing, jnp.asarray(False))
+        return _BracketState(lower, upper, jnp.asarray(jnp.inf), nothing, jnp.asarray(False))
 
-    def step(self, fn, y, args, options, state, tags):
+    def step(
+        self,
+        fn: Callable,
+        y: Array,
+        args: Any,
+        options: dict[str, Any],
+        state: _BracketState,
+        tags: frozenset[object],
+    ) -> tuple[Array, _BracketState, Any]:
+        """(y, state, aux) after one step of Newton's method, or one bisection."""
         (value, aux), (slope, _) = jax.jvp(lambda at: fn(at, args), (y,), (jnp.ones_like(y),))
         below = (value < 0) == options["rising"]
         lower = jnp.where(below, y, state.lower)
@@ -52,11 +75,31 @@ class BracketedNewton(optx.AbstractRootFinder):
         new = jnp.where(hit, y, jnp.where(inside | arrived, new, 0.5 * (lower + upper)))
         arrived = arrived | hit
         last = jnp.where(arrived, 0.0, jnp.abs(new - y))
-        return new, _Bracket(lower, upper, last, slope, arrived), aux
+        return new, _BracketState(lower, upper, last, slope, arrived), aux
 
-    def terminate(self, fn, y, args, options, state, tags):
+    def terminate(
+        self,
+        fn: Callable,
+        y: Array,
+        args: Any,
+        options: dict[str, Any],
+        state: _BracketState,
+        tags: frozenset[object],
+    ) -> tuple[Array, optx.RESULTS]:
+        """(whether y is the root, that all is well)."""
         done = state.step <= self.atol + self.rtol * jnp.abs(y)
         return done, optx.RESULTS.successful
 
-    def postprocess(self, fn, y, aux, args, options, state, tags, result):
+    def postprocess(
+        self,
+        fn: Callable,
+        y: Array,
+        aux: Any,
+        args: Any,
+        options: dict[str, Any],
+        state: _BracketState,
+        tags: frozenset[object],
+        result: optx.RESULTS,
+    ) -> tuple[Array, Any, dict[str, Any]]:
+        """The answer as it is."""
         return y, aux, {}

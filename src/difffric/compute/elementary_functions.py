@@ -11,13 +11,19 @@ are the exact ones, of every order.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from math import factorial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.custom_derivatives import SymbolicZero
+from jaxtyping import Array, Float
+
+Values = Float[Array, "*shape"]
+"""One number or many: every function here works on each of them."""
 
 _PI = (3.14159265346825122834, 1.21542010126079320e-10, 4.04453249759190126e-21)
 """pi as a sum; the first two have 33 bits, so that a product with n/2, n < 2^20, is exact."""
@@ -35,6 +41,7 @@ _ATAN = (
     -3.65315727442169155270e-02,
     1.62858201153657823623e-02,
 )
+"""Coefficients of the arctangent up to pi/8 and beyond, as fdlibm has them (`s_atan.c`)."""
 _LOG = (
     6.666666666666735130e-01,
     3.999999999940941908e-01,
@@ -44,29 +51,33 @@ _LOG = (
     1.531383769920937332e-01,
     1.479819860511658591e-01,
 )
+"""Coefficients of the logarithm, as fdlibm has them (`s_log1p.c`)."""
 _LN_2 = (6.93147180369123816490e-01, 1.90821492927058770002e-10)
+"""ln 2 as a sum; the first has 32 bits, so that its product with an exponent is exact."""
 _PI_4_LOW = 3.061616997868382943e-17
 """What pi/4 is more than its float64."""
 _TAN_PI_8 = 0.41421356237309503
+"""Where the arctangent is pi/8."""
 _ONE, _SQRT_HALF, _FRACTION = 0x3FF0000000000000, 0x3FE6A09E667F3BCD, 0x000FFFFFFFFFFFFF
 """The bits of 1 and of sqrt(1/2), and the mask of a mantissa."""
 
 
-def polynomial(coefficients, x):
-    """c_0 + c_1 x + c_2 x^2 + ..., by pairs: half of Horner's chain of operations."""
+def polynomial(coefficients: Sequence[float], x: Values | float) -> Values:
+    """c_0 + c_1 x + c_2 x^2 + ..., by pairs (Estrin's scheme): half of Horner's chain of
+    operations."""
     square = x * x
     pairs = [
         coefficients[i] + coefficients[i + 1] * x if i + 1 < len(coefficients) else coefficients[i]
         for i in range(0, len(coefficients), 2)
     ]
-    total = pairs[-1]
+    total: Any = pairs[-1]
     for pair in pairs[-2::-1]:
         total = total * square + pair
     return total
 
 
 @jax.custom_jvp
-def sin_cos(x):
+def sin_cos(x: Values) -> tuple[Values, Values]:
     """(sin x, cos x) for |x| below 1e6; beyond it, finite numbers that mean nothing.
 
     The cosine is a sine from the middle between two of its roots: XLA evaluates the two apart.
@@ -95,7 +106,7 @@ def _sin_cos_jvp(primals, tangents):
 
 
 @jax.custom_jvp
-def angle(y, x):
+def angle(y: Values, x: Values) -> Values:
     """atan2(y, x), from -pi to pi; 0 at the origin."""
     a, b = jnp.abs(x), jnp.abs(y)
     low, high = jnp.minimum(a, b), jnp.maximum(a, b)
@@ -118,7 +129,7 @@ def _angle_jvp(primals, tangents):
 
 
 @jax.custom_jvp
-def log1p(x):
+def log1p(x: Values) -> Values:
     """ln(1 + x) for x >= 0, infinity included."""
     u = 1.0 + x
     bits = lax.bitcast_convert_type(u, jnp.int64) + (_ONE - _SQRT_HALF)
@@ -142,7 +153,7 @@ def _log1p_jvp(primals, tangents):
 
 
 @jax.custom_jvp
-def quotient(x, y):
+def quotient(x: Any, y: Values) -> Values:
     """x / y, whose derivative takes one more division, where JAX's own takes two."""
     return x / y
 

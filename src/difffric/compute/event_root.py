@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
+from jaxtyping import Array, ArrayLike, Float, Int
 
 HIT = 1e-14
 """A relative excess below this is none: where the model is flat there is no better."""
 
 
-class _Search(NamedTuple):
-    t: jax.Array
-    lo: jax.Array
-    hi: jax.Array
-    step: jax.Array
-    count: jax.Array
+class _Bracketing(NamedTuple):
+    """Where the search for a root stands: the time, its bracket, the last step and how many."""
+
+    t: Float[Array, ""]
+    lo: Float[Array, ""]
+    hi: Float[Array, ""]
+    step: Float[Array, ""]
+    count: Int[Array, ""]
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 5))
-def find_falling_root(f, args, lo, hi, guess, rounds=0):
+def find_falling_root(
+    f: Callable[[Array, Any], tuple[Array, Array]],
+    args: Any,
+    lo: Float[ArrayLike, ""],
+    hi: Float[ArrayLike, ""],
+    guess: Float[ArrayLike, ""],
+    rounds: int = 0,
+) -> Float[Array, ""]:
     """The root in [lo, hi] of `f(t, args) = (value, slope)`, which falls from > 0 to <= 0.
 
     Newton from `guess`; a step that leaves the bracket is replaced by bisection. So many
@@ -33,7 +44,7 @@ def find_falling_root(f, args, lo, hi, guess, rounds=0):
     """
     eps = jnp.finfo(jnp.result_type(float)).eps
 
-    def unfinished(s):
+    def is_unfinished(s):
         return (jnp.abs(s.step) > 2 * eps * jnp.abs(s.t)) & (s.count < 100)
 
     def improve(s):
@@ -46,13 +57,13 @@ def find_falling_root(f, args, lo, hi, guess, rounds=0):
         arrived = jnp.abs(t - s.t) <= 1e-10 * jnp.abs(s.t)
         inside = (t >= lo) & (t <= hi)
         t = jnp.where(arrived, jnp.clip(t, lo, hi), jnp.where(inside, t, 0.5 * (lo + hi)))
-        return _Search(t, lo, hi, jnp.where(arrived, 0.0, t - s.t), s.count + 1)
+        return _Bracketing(t, lo, hi, jnp.where(arrived, 0.0, t - s.t), s.count + 1)
 
     lo, hi, guess = jnp.broadcast_arrays(lo, hi, jnp.clip(guess, lo, hi))
-    start = _Search(guess, lo, hi, jnp.full_like(guess, jnp.inf), jnp.zeros_like(guess, int))
+    start = _Bracketing(guess, lo, hi, jnp.full_like(guess, jnp.inf), jnp.zeros_like(guess, int))
     for _ in range(rounds):
         start = improve(start)
-    return jax.lax.while_loop(unfinished, improve, start).t
+    return jax.lax.while_loop(is_unfinished, improve, start).t
 
 
 @partial(find_falling_root.defjvp, symbolic_zeros=True)

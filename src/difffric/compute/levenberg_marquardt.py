@@ -7,12 +7,14 @@ columns that all pushes share, and one or two of each push's own, which are elim
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import lineax as lx
 import optimistix as optx
+from jax import Array
 from lineax import RESULTS
 
 _STEP = 1e-7
@@ -29,7 +31,16 @@ class LevenbergMarquardt(optx.LevenbergMarquardt):
     def __init__(self):
         super().__init__(rtol=1e-8, atol=1e-7, linear_solver=ArrowSolver())  # pyright: ignore
 
-    def terminate(self, fn, y, args, options, state, tags):
+    def terminate(
+        self,
+        fn: Callable,
+        y: Any,
+        args: Any,
+        options: dict[str, Any],
+        state: Any,
+        tags: frozenset[object],
+    ) -> tuple[Array, optx.RESULTS]:
+        """(whether the search ends here, how); `args`: after so many steps at most."""
         stop, result = super().terminate(fn, y, args, options, state, tags)
         refused = state.num_steps_since_acceptance >= _REFUSALS
         step = jax.tree.map(
@@ -61,7 +72,8 @@ class ArrowSolver(lx.AbstractLinearSolver):
     what they lose in accuracy the next Levenberg-Marquardt step makes up.
     """
 
-    def init(self, operator, options):
+    def init(self, operator: lx.AbstractLinearOperator, options: dict[str, Any]) -> _ArrowBlocks:
+        """The blocks of the normal equations."""
         theta, eta, start = operator.in_structure()
         P, n, q = theta.size, eta.size, 1 + (start.size > 0)
         shared = jnp.concatenate([jnp.eye(P), jnp.zeros((q, P))])
@@ -86,7 +98,10 @@ class ArrowSolver(lx.AbstractLinearSolver):
         )
         return normal
 
-    def compute(self, state, vector, options):
+    def compute(
+        self, state: _ArrowBlocks, vector: Any, options: dict[str, Any]
+    ) -> tuple[Any, RESULTS, dict[str, Any]]:
+        """(solution, that all is well, nothing more) for one right-hand side."""
         (rows, eta_part, prior), damping = state.columns
         (r, eta_r, prior_r), damping_r = vector
         P = state.shared.shape[0]
@@ -105,13 +120,16 @@ class ArrowSolver(lx.AbstractLinearSolver):
         start = own[:, 1] if damping.start.shape[1] else jnp.zeros(0)
         return type(damping)(theta, own[:, 0], start), RESULTS.successful, {}
 
-    def transpose(self, state, options):
+    def transpose(self, state: _ArrowBlocks, options: dict[str, Any]) -> Any:
+        """Never asked for: raises `NotImplementedError`."""
         raise NotImplementedError("an arrow is solved as it is")
 
-    def conj(self, state, options):
+    def conj(self, state: _ArrowBlocks, options: dict[str, Any]) -> Any:
+        """The blocks themselves, as they are real."""
         return state, options
 
-    def assume_full_rank(self):
+    def assume_full_rank(self) -> bool:
+        """Whether a solution is had only where there is one."""
         return True
 
 

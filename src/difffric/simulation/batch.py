@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import ArrayLike, Float, Int8
 from numpy.typing import NDArray
 
 from difffric.compute.precision import require_float64
@@ -40,7 +41,7 @@ _OPTIONS: dict[str, Any] = {"xla_cpu_prefer_vector_width": 512}
 
 def observe_batch(
     rigs: Rig,
-    velocity,
+    velocity: Float[ArrayLike, "*n"],
     *,
     derivatives: Sequence[str] = ("mu_s",),
     integrator: Integrator | None = None,
@@ -74,8 +75,8 @@ def observe_batch(
     fixed = np.array([a.item() for a in numbers if a.size == 1])
     rows = [speeds, *(numbers[i] for i in varying)]
     tiles = _TILES[n > _TILE * _TILES[0]]
-    program = _program(structure, varying, tuple(derivatives), tiles)
-    columns = _Work(program, fixed, rows, n).done(threads or _cores())
+    program = _compile_batch(structure, varying, tuple(derivatives), tiles)
+    columns = _BatchWork(program, fixed, rows, n).run(threads or _count_cores())
     seen, by = columns[:4], iter(columns[4:])
     dF, dd = ({name: next(by) for name in derivatives} for _ in range(2))
     return Batch._make([*seen, dF, dd])
@@ -84,19 +85,20 @@ def observe_batch(
 class Batch(NamedTuple):
     """What was asked of n pushes: (n,) NumPy arrays in SI units."""
 
-    peak_force: NDArray
-    sliding_distance: NDArray
-    """NaN where `reason` is not 0"""
-    reason: NDArray
+    peak_force: Float[NDArray, " n"]
+    """F_p [N]"""
+    sliding_distance: Float[NDArray, " n"]
+    """d [m]; NaN where `reason` is not 0"""
+    reason: Int8[NDArray, " n"]
     """why there is no d, a code of `events.Reason`"""
-    regime: NDArray
+    regime: Int8[NDArray, " n"]
     """a code of `events.Regime`"""
     peak_force_by: dict[str, NDArray]
     """its derivatives, by the parameter's name"""
     sliding_distance_by: dict[str, NDArray]
 
 
-class _Program(NamedTuple):
+class _BatchProgram(NamedTuple):
     """A compiled function of (how many pushes, the numbers that all share, an array of those
     that differ, a row each), which gives an array for each of `types`."""
 
@@ -105,26 +107,26 @@ class _Program(NamedTuple):
     room: int
 
 
-class _Work:
+class _BatchWork:
     """n pushes, to be done in parts that the program has room for."""
 
-    def __init__(self, program: _Program, fixed: NDArray, rows: list[NDArray], n: int):
+    def __init__(self, program: _BatchProgram, fixed: NDArray, rows: list[NDArray], n: int):
         self.program, self.fixed, self.rows, self.n = program, fixed, rows, n
         self.columns = [np.empty(n, kind) for kind in program.types]
 
-    def done(self, threads: int) -> list[Any]:
+    def run(self, threads: int) -> list[Any]:
         """All of it, by so many threads at most."""
         threads = max(1, min(threads, self.n // (2 * _WAKING)))
         share = (self.n - _WAKING) // threads if threads > 1 else 0
         own = self.n - share * (threads - 1)
         starts = range(own, self.n, max(share, 1))
-        others = [_pool().submit(self._do, start, start + share) for start in starts]
-        self._do(0, own)
+        others = [_share_pool().submit(self._run_part, start, start + share) for start in starts]
+        self._run_part(0, own)
         for other in others:
             other.result()
         return self.columns
 
-    def _do(self, first, last):
+    def _run_part(self, first: int, last: int) -> None:
         call, _, room = self.program
         size = -(-(last - first) // -(-(last - first) // room))  # equal parts that fit
         block = np.empty((len(self.rows), room))
@@ -140,7 +142,11 @@ class _Work:
 
 
 @lru_cache(maxsize=64)
-def _program(structure, varying, names, tiles) -> _Program:
+def _compile_batch(
+    structure: Any, varying: tuple[int, ...], names: tuple[str, ...], tiles: int
+) -> _BatchProgram:
+    """The program for rigs of this structure whose `varying` leaves differ from push to push, with
+    derivatives by these names, for so many tiles at most."""
     rig, integrator = jax.tree.unflatten(structure, range(structure.num_leaves))
     known = (*parameters.names(rig), VELOCITY)
     unknown = sorted(set(names) - set(known))
@@ -154,7 +160,7 @@ def _program(structure, varying, names, tiles) -> _Program:
         every = {**parameters.values(rig), VELOCITY: own[0]}
         point = {name: every[name] for name in names}
 
-        def measured(point):
+        def measure(point):
             new = {name: value for name, value in point.items() if name != VELOCITY}
             velocity = point.get(VELOCITY, own[0])
             seen = observe(parameters.with_values(rig, new), velocity, integrator)
@@ -162,12 +168,12 @@ def _program(structure, varying, names, tiles) -> _Program:
 
         along = [{n: jnp.full_like(x, n == name) for n, x in point.items()} for name in names]
         if rig.pusher.stroke is None:
-            _, slopes, seen = jax.linearize(measured, point, has_aux=True)
+            _, slopes, seen = jax.linearize(measure, point, has_aux=True)
             by = [slopes(direction) for direction in along]
         else:  # a loop over cycles, which `linearize` would run once more for each direction
-            found = [jax.jvp(measured, (point,), (d,), has_aux=True)[1:] for d in along]
+            found = [jax.jvp(measure, (point,), (d,), has_aux=True)[1:] for d in along]
             by = [slope for slope, _ in found]
-            seen = found[0][1] if found else measured(point)[1]
+            seen = found[0][1] if found else measure(point)[1]
         exists = ~jnp.isnan(seen.sliding_distance)
         codes = (code.astype(jnp.int8) for code in (seen.reason, seen.regime))
         dF, dd = [dF for dF, _ in by], [jnp.where(exists, dd, jnp.nan) for _, dd in by]
@@ -189,7 +195,7 @@ def _program(structure, varying, names, tiles) -> _Program:
         empty = [jnp.zeros((tiles, _TILE), shape.dtype) for shape in shapes]
         return jax.lax.fori_loop(0, (length + _TILE - 1) // _TILE, step, empty)
 
-    whole = in_one_piece(all_tiles) if _in_one_piece(rig, integrator) else all_tiles
+    whole = in_one_piece(all_tiles) if _may_be_one_piece(rig, integrator) else all_tiles
     options = keep_known_options(_OPTIONS)
     example = [np.asarray(0), np.empty(len(fixed)), np.empty((1 + len(varying), tiles, _TILE))]
     call = None
@@ -199,10 +205,10 @@ def _program(structure, varying, names, tiles) -> _Program:
     if call is None:
         every = jax.jit(lambda given: whole(*given), compiler_options=options)
         call = every.lower(example).compile()
-    return _Program(call, tuple(np.dtype(s.dtype) for s in shapes), tiles * _TILE)
+    return _BatchProgram(call, tuple(np.dtype(s.dtype) for s in shapes), tiles * _TILE)
 
 
-def _in_one_piece(rig, integrator) -> bool:
+def _may_be_one_piece(rig, integrator) -> bool:
     """Whether the whole program may be compiled in one piece: a closed form of this library's own
     laws alone, as a user's may need what such a program must not have."""
     closed = integrator is None or isinstance(integrator, ClosedForm)
@@ -210,10 +216,10 @@ def _in_one_piece(rig, integrator) -> bool:
 
 
 @cache
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(_cores(), "difffric")
+def _share_pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(_count_cores(), "difffric")
 
 
-def _cores() -> int:
+def _count_cores() -> int:
     has = hasattr(os, "sched_getaffinity")
     return len(os.sched_getaffinity(0)) if has else os.cpu_count() or 1

@@ -7,11 +7,12 @@ from math import factorial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from difffric.compute.elementary_functions import angle, polynomial, quotient
 from difffric.compute.event_root import find_falling_root
 from difffric.errors import InputError
+from difffric.rig.number import Number, Truth
 from difffric.rig.rig import Rig
 from difffric.simulation.events import Event
 from difffric.simulation.leg import Leg, first_event
@@ -80,7 +81,7 @@ class ClosedForm(eqx.Module):
                 "leave the integrator out, or give integrator=Diffrax()"
             )
 
-    def breakaway(self, rig: Rig, v_p: Float[Array, ""]) -> Float[Array, ""]:
+    def breakaway(self, rig: Rig, v_p: Number) -> Float[Array, ""]:
         """Compression [m] at which a part at rest starts to slide; 0: at once."""
         at_touch = rig.contact.approach(0.0, v_p)
         stiffness = _slope(lambda z: rig.contact.approach(z, v_p))
@@ -89,13 +90,7 @@ class ClosedForm(eqx.Module):
         return jnp.where(sticks, (F_S - at_touch) * quotient(1.0, stiffness), 0.0)
 
     def closing(
-        self,
-        rig: Rig,
-        z: Float[Array, ""],
-        u: Float[Array, ""],
-        v_p: Float[Array, ""],
-        left: Float[Array, ""],
-        may_halt: bool,
+        self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number, may_halt: bool
     ) -> Leg:
         """The tip closes in on the part, until w = 0, the part halts or the pusher stops."""
         osc, z_e = _oscillator(rig.approaching, v_p)
@@ -150,14 +145,7 @@ class ClosedForm(eqx.Module):
         at_end = jnp.where(jnp.isinf(dt), 0.0, k * end[0] + b * end[1])
         return N_e + jnp.where(inside, summit, jnp.where(at_end > N, at_end, N))
 
-    def rebounding(
-        self,
-        rig: Rig,
-        z: Float[Array, ""],
-        u: Float[Array, ""],
-        v_p: Float[Array, ""],
-        left: Float[Array, ""],
-    ) -> Leg:
+    def rebounding(self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number) -> Leg:
         """The part recedes from the tip, until release, w = 0 or the pusher's stop."""
         osc, z_e = _oscillator(rig.rebounding, v_p)
         xi, w = z - z_e, v_p - u
@@ -184,13 +172,7 @@ class ClosedForm(eqx.Module):
         return Leg(dt, event, z_1, u_1, 0.0, 0.0)
 
     def free(
-        self,
-        rig: Rig,
-        z: Float[Array, ""],
-        u: Float[Array, ""],
-        v_p: Float[Array, ""],
-        left: Float[Array, ""],
-        may_catch: bool,
+        self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number, may_catch: bool
     ) -> Leg:
         """The part slides without contact, until rest, the pusher's stop or the next contact."""
         slide = _slide(rig)
@@ -212,13 +194,7 @@ class ClosedForm(eqx.Module):
         return Leg(dt, event, z_1, jnp.where(event == Event.HALT, 0.0, u_1), s, 0.0)
 
     def evaluate_pushed(
-        self,
-        rig: Rig,
-        closing: Bool[Array, ""],
-        z: Float[Array, ""],
-        u: Float[Array, ""],
-        v_p: Float[Array, ""],
-        t: Float[Array, ""],
+        self, rig: Rig, closing: Truth, z: Number, u: Number, v_p: Number, t: Number
     ) -> tuple[Array, Array]:
         """(z, u) at the time t into a pushed leg; the oscillator is chosen, not its solution."""
         legs = _oscillator(rig.approaching, v_p), _oscillator(rig.rebounding, v_p)
@@ -226,9 +202,7 @@ class ClosedForm(eqx.Module):
         p, dp = osc.flow(z - z_e, v_p - u, t)
         return z_e + p, v_p - dp
 
-    def evaluate_free(
-        self, rig: Rig, u: Float[Array, ""], t: Float[Array, ""]
-    ) -> tuple[Array, Array]:
+    def evaluate_free(self, rig: Rig, u: Number, t: Number) -> tuple[Array, Array]:
         """(distance, u) at the time t into a free leg."""
         return _slide(rig).flow(u, t)
 

@@ -20,12 +20,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from difffric.compute.event_root import find_falling_root
 from difffric.compute.pytrees import select
 from difffric.compute.smooth_extension import extend_odd
 from difffric.errors import InputError
+from difffric.rig.number import Number, Truth
 from difffric.rig.rig import Rig
 from difffric.simulation.dynamics import LARGEST_COMPRESSION, find_compression
 from difffric.simulation.events import Event
@@ -162,7 +163,7 @@ class Diffrax(eqx.Module):
                 f"diffrax.Tsit5(), not {type(self.solver).__name__}"
             )
 
-    def breakaway(self, rig: Rig, v_p: Float[Array, ""]) -> Float[Array, ""]:
+    def breakaway(self, rig: Rig, v_p: Number) -> Float[Array, ""]:
         """Compression [m] at which a part at rest starts to slide; 0: at once."""
         F_S = rig.friction.breakaway(rig.F_N)
         dynamic, static = eqx.partition((rig.contact, v_p, F_S), _is_number)
@@ -179,13 +180,7 @@ class Diffrax(eqx.Module):
         return jnp.where(sticks, jnp.where(far < LARGEST_COMPRESSION, z, jnp.inf), 0.0)
 
     def closing(
-        self,
-        rig: Rig,
-        z: Float[Array, ""],
-        u: Float[Array, ""],
-        v_p: Float[Array, ""],
-        left: Float[Array, ""],
-        may_halt: bool,
+        self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number, may_halt: bool
     ) -> Leg:
         """The tip closes in on the part, until w = 0, the part halts or the pusher stops."""
         motion = _ScaledMotion.of(rig, "approach", v_p)
@@ -207,14 +202,7 @@ class Diffrax(eqx.Module):
         peak = jnp.where((top.t + h <= dt) & (N_top > peak), N_top, peak)
         return self._check_leg(progress, Leg(dt, event, z_1, u_1, 0.0, peak))
 
-    def rebounding(
-        self,
-        rig: Rig,
-        z: Float[Array, ""],
-        u: Float[Array, ""],
-        v_p: Float[Array, ""],
-        left: Float[Array, ""],
-    ) -> Leg:
+    def rebounding(self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number) -> Leg:
         """The part recedes from the tip, until release, w = 0 or the pusher's stop."""
         motion = _ScaledMotion.of(rig, "rebound", v_p)
         progress = self._follow_leg(
@@ -235,13 +223,7 @@ class Diffrax(eqx.Module):
         return self._check_leg(progress, Leg(dt, event, z_1, u_1, 0.0, 0.0))
 
     def free(
-        self,
-        rig: Rig,
-        z: Float[Array, ""],
-        u: Float[Array, ""],
-        v_p: Float[Array, ""],
-        left: Float[Array, ""],
-        may_catch: bool,
+        self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number, may_catch: bool
     ) -> Leg:
         """The part slides without contact, until rest, the pusher's stop or the next contact.
 
@@ -262,13 +244,7 @@ class Diffrax(eqx.Module):
         return self._check_leg(progress, Leg(dt, event, z_1, u_1, slid, 0.0))
 
     def evaluate_pushed(
-        self,
-        rig: Rig,
-        closing: Bool[Array, ""],
-        z: Float[Array, ""],
-        u: Float[Array, ""],
-        v_p: Float[Array, ""],
-        t: Float[Array, ""],
+        self, rig: Rig, closing: Truth, z: Number, u: Number, v_p: Number, t: Number
     ) -> tuple[Array, Array]:
         """(z, u) at the time t into a pushed leg."""
         closing = jnp.asarray(closing)
@@ -284,9 +260,7 @@ class Diffrax(eqx.Module):
         )
         return jax.tree.map(lambda a, b: jnp.where(closing, a, b), here, there)
 
-    def evaluate_free(
-        self, rig: Rig, u: Float[Array, ""], t: Float[Array, ""]
-    ) -> tuple[Array, Array]:
+    def evaluate_free(self, rig: Rig, u: Number, t: Number) -> tuple[Array, Array]:
         """(distance, u) at the time t into a free leg."""
         motion = _ScaledMotion.of(rig, "free", 0.0)
         progress = self._follow_leg(motion, motion.scale_state(0.0, u), t, ())

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jaxtyping import Array, ArrayLike, Float, Int
 from numpy.typing import NDArray
 
 from difffric.compute import pytrees
@@ -24,7 +24,7 @@ from difffric.simulation.stepping.state import LoopState
 class Observables(NamedTuple):
     """F_p and d of one push, in SI units, with its regime.
 
-    NaN stands in `sliding_distance` where `reason` is not 0 (`REASONS` says why), and in
+    NaN stands in `sliding_distance` where `reason` is not 0 (`events.explain` says why), and in
     both where the push could not be followed.
     """
 
@@ -52,18 +52,20 @@ def _first_of(cases, otherwise) -> Any:
     return value
 
 
-def observe(rig: Rig, velocity, integrator: Integrator | None = None) -> Observables:
+def observe(
+    rig: Rig, velocity: Float[ArrayLike, ""], integrator: Integrator | None = None
+) -> Observables:
     """F_p [N] and d [m] of one push at `velocity` [m/s]; the stroke is the rig's pusher's.
 
     Pure, compiled once for all rigs of a kind: vmap and differentiate it (forward mode), and
     jit what is built on it, as you like.
     """
     push = Push.of(rig, velocity, integrator)
-    return _observed(pytrees.as_arrays(push))
+    return _observe(pytrees.as_arrays(push))
 
 
 @cache_program
-def _observed(push: Push) -> Observables:
+def _observe(push: Push) -> Observables:
     if isinstance(push.integrator, RungeKutta):
         loop = push.integrator.build_loop(push.rig, push.velocity)
         return observe_steps(loop, loop.run())
@@ -125,8 +127,8 @@ def _kind(regime, stuck_first, *counts):
     return kind  # of three counts: 30 bits
 
 
-def regime_of(kind: NDArray) -> NDArray:
-    """The regime that a kind says."""
+def regime_of(kind: Int[NDArray, "*n"]) -> Int[NDArray, "*n"]:
+    """The regime (a code of `events.Regime`) that a kind says."""
     return (np.asarray(kind) >> 30) % 4
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from difffric.compute.elementary_functions import angle, log1p, polynomial, quotient, sin_cos
+from difffric.rig.number import Number
 
 # Coefficients of the series that take over where the closed forms divide by nearly nothing: of
 # sin(x)/x and cos(x) in x^2, arctan(x)/x in x^2, (1 - (1 - e^-x)/x)/x and (1 - log(1 + y)/y)/y.
@@ -29,13 +30,13 @@ _BRAKE = [(-1.0) ** n / (n + 2) for n in range(14)]
 class Oscillator(NamedTuple):
     """p'' + 2 alpha p' + omega0_sq p = 0."""
 
-    alpha: Float[Array, ""]
+    alpha: Number
     """damping [1/s]"""
-    omega0_sq: Float[Array, ""]
+    omega0_sq: Number
     """[1/s^2]"""
 
     @property
-    def discriminant(self) -> Float[Array, ""]:
+    def discriminant(self) -> Number:
         """omega0^2 - alpha^2: positive underdamped, negative overdamped [1/s^2]."""
         return self.omega0_sq - self.alpha**2
 
@@ -44,7 +45,7 @@ class Oscillator(NamedTuple):
         D = self.discriminant
         return jnp.sqrt(jnp.where(D == 0, 1.0, jnp.abs(D)))
 
-    def basis(self, t: Float[Array, ""]) -> tuple[Array, Array]:
+    def basis(self, t: Number) -> tuple[Array, Array]:
         """exp(-alpha t) times cos(omega t) and sin(omega t)/omega, omega^2 = discriminant."""
         D, rate = self.discriminant, self.rate()
         x = D * t**2
@@ -61,17 +62,13 @@ class Oscillator(NamedTuple):
             quotient(jnp.where(over, 0.5 - 0.5 * fades, s), growth * jnp.where(small, 1.0, rate)),
         )
 
-    def flow(
-        self, p: Float[Array, ""], dp: Float[Array, ""], t: Float[Array, ""]
-    ) -> tuple[Array, Array]:
+    def flow(self, p: Number, dp: Number, t: Float[Array, ""]) -> tuple[Array, Array]:
         """(p, p') after the time t [s]."""
         c, s = self.basis(t)
         q = self.alpha * dp + self.omega0_sq * p
         return p * c + (dp + self.alpha * p) * s, dp * c - q * s
 
-    def turning_time(
-        self, p: Float[Array, ""], dp: Float[Array, ""], sign: float
-    ) -> Float[Array, ""]:
+    def turning_time(self, p: Number, dp: Number, sign: float) -> Float[Array, ""]:
         """First t >= 0 with p' = 0, where sign * p' >= 0 at the start; infinite if never.
 
         With p' = 0 at the start and p on the far side (sign * p < 0) it is half a period.
@@ -93,9 +90,7 @@ class Oscillator(NamedTuple):
         near = ratio * polynomial(_ARCTAN, s)
         return quotient(jnp.where(small, near, free), jnp.where(small, 1.0, rate))
 
-    def extremum(
-        self, p: Float[Array, ""], dp: Float[Array, ""], t: Float[Array, ""]
-    ) -> Float[Array, ""]:
+    def extremum(self, p: Number, dp: Number, t: Float[Array, ""]) -> Float[Array, ""]:
         """|p| at a turning time t: omega0^2 p^2 + 2 alpha p p' + p'^2 falls as exp(-2 alpha t),
         so that no trigonometry is needed."""
         Q = self.omega0_sq * p**2 + 2 * self.alpha * p * dp + dp**2
@@ -107,12 +102,12 @@ class Oscillator(NamedTuple):
 class ViscousSlide(NamedTuple):
     """u' = -(drag + rate u): Coulomb and viscous friction per unit of mass."""
 
-    drag: Float[Array, ""]
+    drag: Number
     """[m/s^2]"""
-    rate: Float[Array, ""]
+    rate: Number
     """[1/s]"""
 
-    def flow(self, u: Float[Array, ""], t: Float[Array, ""]) -> tuple[Array, Array]:
+    def flow(self, u: Number, t: Number) -> tuple[Array, Array]:
         """(distance [m], speed [m/s]) after the time t [s], from the speed u [m/s]."""
         x = self.rate * t
         small = jnp.abs(x) < 0.2
@@ -121,7 +116,7 @@ class ViscousSlide(NamedTuple):
         two = jnp.where(small, polynomial(_DECAY, x), (x_l + jnp.expm1(-x_l)) / x_l**2)
         return t * (u * one - self.drag * t * two), u - (self.drag + self.rate * u) * t * one
 
-    def rest(self, u: Float[Array, ""]) -> tuple[Array, Array]:
+    def rest(self, u: Number) -> tuple[Array, Array]:
         """(time [s], distance [m]) to rest from the speed u [m/s]."""
         stop = quotient(u, self.drag)
         y = self.rate * stop

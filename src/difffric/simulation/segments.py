@@ -14,6 +14,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from difffric.compute.precision import require_float64
 from difffric.compute.pytrees import select
+from difffric.rig.number import Number, Truth
 from difffric.rig.rig import Rig
 from difffric.simulation.closed_form import ClosedForm
 from difffric.simulation.events import MAX_CONTACTS, MAX_CYCLES, Event, Mode
@@ -85,60 +86,33 @@ class Integrator(Protocol):
         """Raise `InputError` where it does not serve the rig."""
         ...
 
-    def breakaway(self, rig: Rig, v_p: Float[Array, ""]) -> Float[Array, ""]:
+    def breakaway(self, rig: Rig, v_p: Number) -> Float[Array, ""]:
         """The compression [m] at which a part at rest starts to slide; 0: at once."""
         ...
 
     def closing(
-        self,
-        rig: Rig,
-        z: Float[Array, ""],
-        u: Float[Array, ""],
-        v_p: Float[Array, ""],
-        left: Float[Array, ""],
-        may_halt: bool,
+        self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number, may_halt: bool
     ) -> Leg:
         """The tip closes in on the part, until it turns, halts or the pusher stops."""
         ...
 
-    def rebounding(
-        self,
-        rig: Rig,
-        z: Float[Array, ""],
-        u: Float[Array, ""],
-        v_p: Float[Array, ""],
-        left: Float[Array, ""],
-    ) -> Leg:
+    def rebounding(self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number) -> Leg:
         """The part recedes from the tip, until release, turn or the pusher's stop."""
         ...
 
     def free(
-        self,
-        rig: Rig,
-        z: Float[Array, ""],
-        u: Float[Array, ""],
-        v_p: Float[Array, ""],
-        left: Float[Array, ""],
-        may_catch: bool,
+        self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number, may_catch: bool
     ) -> Leg:
         """The part slides without contact, until rest, the pusher's stop or the next contact."""
         ...
 
     def evaluate_pushed(
-        self,
-        rig: Rig,
-        closing: Bool[Array, ""],
-        z: Float[Array, ""],
-        u: Float[Array, ""],
-        v_p: Float[Array, ""],
-        t: Float[Array, ""],
+        self, rig: Rig, closing: Truth, z: Number, u: Number, v_p: Number, t: Number
     ) -> tuple[Array, Array]:
         """(z [m], u [m/s]) at the time t [s] into a leg of closing, or else of rebounding."""
         ...
 
-    def evaluate_free(
-        self, rig: Rig, u: Float[Array, ""], t: Float[Array, ""]
-    ) -> tuple[Array, Array]:
+    def evaluate_free(self, rig: Rig, u: Number, t: Number) -> tuple[Array, Array]:
         """(distance [m], u [m/s]) at the time t [s] into a free leg."""
         ...
 

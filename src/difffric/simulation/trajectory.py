@@ -22,7 +22,8 @@ from difffric.simulation.stepping.integrator import RungeKutta
 from difffric.simulation.stepping.path import PushPath, follow
 
 STRIDES = 1024
-"""Steps that a trajectory keeps at most where a push is integrated."""
+"""Steps that a trajectory keeps at most where a push is followed step by step; one of more counts
+as not followed."""
 
 
 class Trajectory(eqx.Module):
@@ -86,14 +87,18 @@ class Trajectory(eqx.Module):
         """Speed u = x' of the part [m/s] at the times t [s]."""
         return self.evaluate(t)[2]
 
-    def evaluate(self, t):
+    def evaluate(
+        self, t: Float[ArrayLike, "*n"]
+    ) -> tuple[Float[Array, "*n"], Float[Array, "*n"], Float[Array, "*n"]]:
         """(force [N], position [m], speed [m/s]) at the times t [s], in one call.
 
         NaN beyond the last segment followed where the push never ends.
         """
         return _evaluate(self, jnp.asarray(t, float))
 
-    def read(self, t_force, t_position):
+    def read(
+        self, t_force: Float[ArrayLike, " force"], t_position: Float[ArrayLike, " position"]
+    ) -> tuple[Float[Array, " force"], Float[Array, " position"]]:
         """What the sensors read: force [N] and position [m], each at its own times [s]."""
         return _read(self, jnp.asarray(t_force, float), jnp.asarray(t_position, float))
 
@@ -154,11 +159,11 @@ def _at(trajectory: Trajectory, time):
 
 def simulate(
     rig: Rig,
-    velocity,
+    velocity: Float[Array, ""] | float,
     *,
-    stroke=None,
-    mass=None,
-    mu_s=None,
+    stroke: Float[ArrayLike, ""] | None = None,
+    mass: Float[ArrayLike, ""] | None = None,
+    mu_s: Float[ArrayLike, ""] | None = None,
     integrator: Integrator | None = None,
 ) -> Trajectory:
     """One push at `velocity` [m/s], with the rig's own stroke [m], mass [kg] and mu_s unless

@@ -157,7 +157,7 @@ def _add_filters(path: PushPath, steps: Int[ArrayLike, ""]) -> PushPath:
         through = Filtered.of(sensor, N, state, h)
         after = through.low.value(end), through.high.value(end)
         new = tuple(jnp.where(there, a, b) for a, b in zip(after, state, strict=True))
-        return new, through.to_passed()
+        return new, through.summarise()
 
     def some(first, state):
         """The next few rows."""

@@ -100,7 +100,7 @@ class Filtered(NamedTuple):
         """The filtered force [N] at a share of the stride."""
         return self.share * (self.low.value(share) - self.high.value(share))
 
-    def to_passed(self) -> PassedForce:
+    def summarise(self) -> PassedForce:
         """The same in few numbers."""
         powers = [a - b for a, b in zip(self.low.powers, self.high.powers, strict=True)]
         return PassedForce(
