@@ -613,7 +613,7 @@ def test_the_library_is_found_where_the_system_looks(tmp_path):
 import ctypes, sys
 if ctypes.util.find_library("NiFpga") is None:
     sys.exit(77)
-from difffric.card import open_card
+from difffric.acquisition.card import open_card
 with open_card(sys.argv[1]) as session:
     print(session.registers["sample_rate_Hz"].read(), len(session.fifos))
 """
