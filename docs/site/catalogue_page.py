@@ -1,6 +1,6 @@
 """Makes docs/catalogue.md from the catalogue of effects, so that the page cannot differ from it.
 
-python docs/site/catalogue_page.py > docs/catalogue.md
+`python docs/site/catalogue_page.py > docs/catalogue.md` writes the page anew.
 """
 
 from __future__ import annotations

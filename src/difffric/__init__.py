@@ -52,7 +52,7 @@ _MOVED = {
     "regime_margin": "simulation",
     "universal": "rig",
 }
-"""Names that stood here in version 0.1, and the package of each; they go with version 0.3."""
+"""Names that stood here before there were packages, and where each is now; they go with 0.2."""
 
 
 def __getattr__(name: str):
@@ -62,7 +62,7 @@ def __getattr__(name: str):
 
     package = f"{__name__}.{_MOVED[name]}"
     warnings.warn(
-        f"difffric.{name} is {package}.{name} now; the old name goes with version 0.3",
+        f"difffric.{name} is {package}.{name} now; the old name goes with version 0.2",
         DeprecationWarning,
         stacklevel=2,
     )
