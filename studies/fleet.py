@@ -91,7 +91,7 @@ def by_nptdms(paths: list[str]) -> float:
 
 def by_difffric(paths: list[str]) -> float:
     """Every sample of the files by this library, with its checks; the number of pushes."""
-    from difffric.measurements.checks import checked_data
+    from difffric.measurements.checks import check_data
     from difffric.measurements.files.tdms_reader import read_recordings
     from difffric.rig.setup_toml import read_setup
 
@@ -101,7 +101,7 @@ def by_difffric(paths: list[str]) -> float:
         folder = Path(path).parent
         rig = rigs.setdefault(folder, None) or read_setup(folder / "setup.toml").rig
         rigs[folder] = rig
-        pushes += len(checked_data(read_recordings(path), rig, skip_bad=True))
+        pushes += len(check_data(read_recordings(path), rig, skip_bad=True))
     return pushes
 
 

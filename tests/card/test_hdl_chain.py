@@ -15,7 +15,7 @@ from difffric.acquisition.card import METRES_PER_COUNT, VOLTS_PER_WORD, split_po
 from difffric.acquisition.push import Command
 from difffric.acquisition.recorder import acquire
 from difffric.identification.live import contradictions
-from difffric.measurements.checks import checked_data
+from difffric.measurements.checks import check_data
 from difffric.measurements.files.tdms_reader import read_recordings
 from difffric.measurements.reduction.reduce import reduce_recordings
 from difffric.rig.setup_toml import read_setup
@@ -81,7 +81,7 @@ def test_the_friction_that_goes_in_comes_out(tmp_path, average_log2):
     seen = hardware.peak_word, hardware.release_sample, hardware.release_count
     assert seen == (says["peak_word"], says["release_sample"], says["release_count"])
 
-    recordings = checked_data(read_recordings(path), SETUP.rig)
+    recordings = check_data(read_recordings(path), SETUP.rig)
     reduction = reduce_recordings(recordings)
     (reduced,) = reduction.details
     # What docs/acquire.md asks of peak and latch; and from the latch to rest it is the

@@ -23,7 +23,7 @@ from difffric.errors import InputError
 from difffric.estimation.coordinates import layout
 from difffric.estimation.descent import Model
 from difffric.estimation.stacked_data import sensor_errors, slides_data, table_data
-from difffric.measurements.checks import checked_data
+from difffric.measurements.checks import check_data
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
 from difffric.measurements.reduction.reduce import reduce_recordings
@@ -90,7 +90,7 @@ def fit(
         integrator or default_integrator(rig),
     )
     if isinstance(data, Recordings):
-        recordings = checked_data(data, rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
+        recordings = check_data(data, rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
         if robust:
             raise InputError("robust: expected a table; recordings are fitted sample by sample")
         tell("reducing the recordings", 0.0)
@@ -100,7 +100,7 @@ def fit(
         search = RecordingSearch(task.model, reduction, task.starts, tell, thorough)
         state, reached = search.run()
     else:
-        pushes = checked_data(data, rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
+        pushes = check_data(data, rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
         reduction = None
         if free_start:
             raise InputError(

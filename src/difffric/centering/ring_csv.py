@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from difffric.atomic_files import read_bytes, write_whole
 from difffric.errors import InputError
-from difffric.measurements.quantities import decimal, told
+from difffric.measurements.quantities import join_problems, parse_decimal
 from difffric.units import from_mm, from_um, to_mm
 
 _ANGLE, _RADIUS, _READING = "angle_deg", "radius_mm", "reading_um"
@@ -58,7 +58,7 @@ def load_ring(path: str | os.PathLike, radius: float | None = None) -> tuple[NDA
         at, column = header.index(name), []
         for line, cells in rows[1:]:
             cell = cells[at] if at < len(cells) else ""
-            value = decimal(cell)
+            value = parse_decimal(cell)
             if len(cells) > len(header) and name == _ANGLE:
                 problems.append((line, f"{len(cells)} cells, expected {len(header)}"))
             elif value is None and cell.lower() not in ("", "nan"):
@@ -68,7 +68,8 @@ def load_ring(path: str | os.PathLike, radius: float | None = None) -> tuple[NDA
             column.append(np.nan if value is None else float(value))
         columns.append(np.array(column, float))
     if problems:
-        raise InputError(told([f"{path}: line {line}: {what}" for line, what in sorted(problems)]))
+        lines = [f"{path}: line {line}: {what}" for line, what in sorted(problems)]
+        raise InputError(join_problems(lines))
     angle, measured = np.radians(columns[0]), columns[1]
     if has == [_RADIUS]:
         return angle, from_mm(measured)

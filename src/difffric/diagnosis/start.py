@@ -23,7 +23,7 @@ from difffric.estimation import ensemble, ensemble_refits
 from difffric.estimation.effect_coordinates import PLAIN
 from difffric.estimation.ensemble import EnsembleTask, Fits
 from difffric.estimation.stacked_data import sensor_errors
-from difffric.measurements.checks import checked_data
+from difffric.measurements.checks import check_data
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
 from difffric.measurements.reduction.reduce import reduce_recordings
@@ -76,13 +76,13 @@ def prepare_start(
     own, known = strip_effects(setup)
     plain = own.rig
     if isinstance(given, Recordings):
-        checked: Pushes | Recordings = checked_data(
+        checked: Pushes | Recordings = check_data(
             given, plain, use_data_mass=use_data_mass, skip_bad=skip_bad
         )
         reduction = reduce_recordings(checked, skip_bad=skip_bad)
         measured, noise = reduction.pushes, None
     else:
-        checked = measured = checked_data(
+        checked = measured = check_data(
             given, plain, use_data_mass=use_data_mass, skip_bad=skip_bad
         )
         reduction, noise = None, _collect_errors(plain, measured)

@@ -47,7 +47,7 @@ def identify_columns(parts: Sequence[tuple[Setup, Pushes]]) -> list[pl.DataFrame
     """Identify the pushes of many rigs, each given as its set-up and its pushes.
 
     Returns for each a table of the columns `SCHEMA`, a row a push. The pushes must be such as
-    `checked_data` lets pass.
+    `check_data` lets pass.
 
     Raises `InputError` where JAX is in 32-bit mode.
     """

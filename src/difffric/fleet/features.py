@@ -22,7 +22,7 @@ import polars as pl
 from difffric.atomic_files import write_whole
 from difffric.errors import InputError
 from difffric.fleet.archive import ArchiveFile
-from difffric.measurements.checks import checked_data
+from difffric.measurements.checks import check_data
 from difffric.measurements.load_file import load
 from difffric.measurements.pushes import COLUMNS, Pushes
 from difffric.measurements.recordings import Recordings
@@ -105,12 +105,12 @@ def read_features(source: ArchiveFile, rig: Rig, use_data_mass: bool = False) ->
     try:
         data = load(source.path, skip_bad=True)
         if isinstance(data, Recordings):
-            reduction = reduce_recordings(checked_data(data, rig, **how), skip_bad=True)
+            reduction = reduce_recordings(check_data(data, rig, **how), skip_bad=True)
             pushes, details = reduction.pushes, reduction.details
             names = [r.name for r in reduction.recordings]
             days = [_find_day(source, r.started) for r in reduction.recordings]
         else:
-            pushes, details = checked_data(data, rig, **how), ()
+            pushes, details = check_data(data, rig, **how), ()
             names, days = [""] * len(pushes), [_find_day(source, np.nan)] * len(pushes)
     except OSError as error:
         raise InputError(f"{source.path}: cannot be read: {error.strerror}") from None

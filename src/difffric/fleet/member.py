@@ -24,7 +24,7 @@ from difffric.estimation import ensemble_refits
 from difffric.fleet.archive import ArchiveFile
 from difffric.fleet.features import MADE_WITH
 from difffric.fleet.sample import MOST, sample
-from difffric.measurements.quantities import one_line
+from difffric.measurements.quantities import shorten_to_line
 from difffric.output_folder import to_json_types
 from difffric.progress import silent
 from difffric.rig import catalogue
@@ -212,7 +212,7 @@ def compute_excess(task: en.EnsembleTask, base: en.Fits, effect: str, sizes: Map
 
 def _word_reason(error: Exception) -> str:
     """Return an error in one line; of an error that nobody foresaw, its type too."""
-    words = one_line(" ".join(str(error).split()))
+    words = shorten_to_line(" ".join(str(error).split()))
     return words if isinstance(error, DifffricError) else f"{type(error).__name__}: {words}"
 
 

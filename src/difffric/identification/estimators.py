@@ -19,7 +19,7 @@ from difffric.identification.free_slide import estimate_by_slides
 from difffric.identification.inversion import BRACKET
 from difffric.identification.resolved_pushes import Calibration, ResolvedPushes
 from difffric.identification.whole_recording import fit_recordings
-from difffric.measurements.checks import checked_data
+from difffric.measurements.checks import check_data
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
 from difffric.measurements.reduction.reduce import Reduction, reduce_recordings
@@ -59,12 +59,12 @@ def identify(
     check_rig(known.rig)
     reduction = None
     if isinstance(data, Recordings):
-        data = checked_data(data, known.rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
+        data = check_data(data, known.rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
         tell("reducing the recordings", 0.0)
         reduction = reduce_recordings(data, skip_bad=skip_bad)
         pushes = reduction.pushes
     else:
-        pushes = checked_data(data, known.rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
+        pushes = check_data(data, known.rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
     if not pushes.free_slides:
         tell("inverting forces and distances", 0.2)
     resolved = ResolvedPushes.of(known, pushes, integrator=integrator, range_ratio=range_ratio)

@@ -18,7 +18,7 @@ from difffric.identification.combination import combine
 from difffric.identification.estimates import PushFriction
 from difffric.identification.resolved_pushes import Calibration, ResolvedPushes
 from difffric.identification.tabulated_model import TabulatedModel, compute_range_ratio
-from difffric.measurements.checks import checked_data
+from difffric.measurements.checks import check_data
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Channel, Recording, Recordings
 from difffric.measurements.reduction.reduce import Reduced, Reduction, reduce_recordings
@@ -80,7 +80,7 @@ class LiveIdentifier:
             )
         for command in self._curves:
             with suppress(DifffricError):  # at a low rate there is nothing to reduce
-                self._reduced(_rehearsal(command, rig.force_sensor))
+                self._reduce(_rehearsal(command, rig.force_sensor))
             F, d = self._curves[command].at(0.14)
             said = Pushes(
                 velocity=_one(command.velocity), peak_force=_one(F), sliding_distance=_one(d),
@@ -94,19 +94,19 @@ class LiveIdentifier:
         reason = acquired.fault or (f"{acquired.lost} samples lost" if acquired.lost else None)
         if reason is None:
             try:
-                reduction = self._reduced(recording)
+                reduction = self._reduce(recording)
                 reduced = reduction.details[0]
                 friction = self._friction(acquired.command, reduction.pushes)
                 friction = replace(friction, name=acquired.name)
                 reason = "; ".join(filter(None, [friction.reason, reduced.reason])) or None
-                problems = contradictions(acquired, recording, reduced, self._setup.rig)
+                problems = find_contradictions(acquired, recording, reduced, self._setup.rig)
             except DifffricError as error:  # a push without contact, or one that never rests
                 reason = " ".join(str(error).split())
         seconds = time.monotonic() - acquired.ended
         return LivePush(acquired, friction, reduced, reason, problems, seconds)
 
-    def _reduced(self, recording: Recording) -> Reduction:
-        return reduce_recordings(checked_data(Recordings((recording,)), self._setup.rig))
+    def _reduce(self, recording: Recording) -> Reduction:
+        return reduce_recordings(check_data(Recordings((recording,)), self._setup.rig))
 
     def _friction(self, command: Command, pushes: Pushes) -> PushFriction:
         curve, resolved = self._curves[command], self._resolved[command].with_readings(pushes)
@@ -121,7 +121,7 @@ def _one(value: float) -> NDArray:
     return np.array([value])
 
 
-def contradictions(
+def find_contradictions(
     acquired: Acquired, recording: Recording, reduced: Reduced, rig: Rig
 ) -> tuple[str, ...]:
     """Where the reduction of a push denies what the card itself saw, a sentence each.

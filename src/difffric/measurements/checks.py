@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from difffric.errors import InputError
 from difffric.measurements.pushes import Pushes
-from difffric.measurements.quantities import one_line, told
+from difffric.measurements.quantities import join_problems, shorten_to_line
 from difffric.measurements.recordings import Channel, Recording, Recordings
 from difffric.rig.rig import Rig
 from difffric.rig.sensors import ForceSensor
@@ -23,7 +23,7 @@ _SHORTEST = 3  # samples
 Data = TypeVar("Data", Pushes, Recordings)
 
 
-def checked_data(
+def check_data(
     data: Data,
     rig: Rig,
     *,
@@ -57,9 +57,9 @@ def checked_data(
     lines = [f"{_place(data, i)}: {words}" for i in sorted(problems) for words in problems[i]]
     good = [i for i in range(len(data)) if not problems.get(i)]
     if lines and not (skip_bad and good):
-        raise InputError(told(lines))
+        raise InputError(join_problems(lines))
     return (
-        replace(data.select(good), skipped=(*data.skipped, *map(one_line, lines)))
+        replace(data.select(good), skipped=(*data.skipped, *map(shorten_to_line, lines)))
         if lines
         else data
     )

@@ -42,13 +42,16 @@ class Noise:
         return n / ratio
 
     def at(self, dt_ratio: float) -> Noise:
-        """Of every `dt_ratio`-th sample alone."""
+        """The noise of every `dt_ratio`-th sample alone."""
         phi = self.correlation
         return Noise(self.level, float(np.sign(phi) * abs(phi) ** dt_ratio), self.n)
 
-    def averaged(self, n: int) -> Noise:
-        """Of means of n consecutive samples. They are AR(1) again only where φ = 0; otherwise
-        their variance and the correlation of neighbours are right."""
+    def average(self, n: int) -> Noise:
+        """The noise of means of n consecutive samples.
+
+        They are AR(1) again only where φ = 0; otherwise their variance and the correlation of
+        neighbours are right.
+        """
         phi = self.correlation
         variance = 1.0 / self.effective(n)
         neighbours = phi * ((1 - phi**n) / (1 - phi) / n) ** 2
@@ -77,7 +80,7 @@ class Whitening:
         return out
 
 
-def whitening(index: ArrayLike, noise: Noise) -> Whitening:
+def make_whitening(index: ArrayLike, noise: Noise) -> Whitening:
     """The whitening of samples number `index` (n,) of a channel; g is the step between two.
 
     A new series, independent of the one before, begins wherever the index does not increase.
@@ -92,12 +95,7 @@ def whitening(index: ArrayLike, noise: Noise) -> Whitening:
     return Whitening(scale, scale * power)
 
 
-def whiten(residuals: ArrayLike, index: ArrayLike, noise: Noise) -> NDArray:
-    """Residuals (n,) of samples number `index` (n,), made independent and of unit variance."""
-    return whitening(index, noise)(residuals)
-
-
-def noise_of(stretches: Iterable[ArrayLike]) -> Noise:
+def estimate_noise(stretches: Iterable[ArrayLike]) -> Noise:
     """The noise in stretches (each (n,)) in which nothing moves, each about a mean of its own.
 
     Level and lag-1 correlation are those of the greatest restricted likelihood, which allows
@@ -141,7 +139,7 @@ def noise_of(stretches: Iterable[ArrayLike]) -> Noise:
     return Noise(float(np.sqrt(variance / (1 - phi**2))), phi, n)
 
 
-def difference_noise(samples: ArrayLike) -> Noise:
+def estimate_difference_noise(samples: ArrayLike) -> Noise:
     """White noise's level from third differences of moving samples (n,), n >= 4.
 
     The median ignores jumps. Correlated noise shows only in part, so `n` is 0: a last resort.
@@ -151,7 +149,7 @@ def difference_noise(samples: ArrayLike) -> Noise:
     return Noise(level, 0.0, 0)
 
 
-def at_least_resolution(noise: Noise, samples: ArrayLike) -> Noise:
+def raise_to_resolution(noise: Noise, samples: ArrayLike) -> Noise:
     """The noise, but no less than rounding of the samples (n,) makes it.
 
     A signal that rests within one step of its resolution shows no noise at all.
@@ -165,12 +163,12 @@ def at_least_resolution(noise: Noise, samples: ArrayLike) -> Noise:
     return noise if noise.level >= least else Noise(float(least), 0.0, noise.n)
 
 
-def quiet_before(channel: Channel) -> NDArray:
+def read_quiet(channel: Channel) -> NDArray:
     """The samples before t = 0, without the last, which may lie beside the start."""
     return channel.between(max(channel.start, -LONGEST * channel.dt), -channel.dt)[1]
 
 
-def still_at_end(samples: ArrayLike, noise: Noise) -> int:
+def count_still(samples: ArrayLike, noise: Noise) -> int:
     """How many samples at the end of `samples` (n,) show no trend; 0 where even 8 do.
 
     The stretch grows by steps of a fifth until a slope and a curvature together are significant
@@ -181,7 +179,7 @@ def still_at_end(samples: ArrayLike, noise: Noise) -> int:
     def still(size: int) -> bool:
         s = np.linspace(-1.0, 1.0, size)
         columns = np.stack([np.ones(size), s, s * s - 1 / 3, samples[-size:] - samples[-1]], 1)
-        r = np.linalg.qr(whitening(np.arange(size), noise)(columns))[1]
+        r = np.linalg.qr(make_whitening(np.arange(size), noise)(columns))[1]
         return bool(r[1, 3] ** 2 + r[2, 3] ** 2 < scipy.special.chdtri(2, 1e-5))
 
     found, size = 0, 8
@@ -196,7 +194,7 @@ def still_at_end(samples: ArrayLike, noise: Noise) -> int:
     return found
 
 
-def quiet_noise(channel: Channel, at_rest: float = np.inf) -> Noise:
+def estimate_quiet_noise(channel: Channel, at_rest: float = np.inf) -> Noise:
     """The noise of one channel: before t = 0, and from time `at_rest` [s] on.
 
     Without enough of either, from differences of its first samples.
@@ -205,46 +203,26 @@ def quiet_noise(channel: Channel, at_rest: float = np.inf) -> Noise:
     if channel.n < SHORTEST:
         raise InputError(f"{channel.n} samples say nothing of the noise: expected {SHORTEST}")
     after = channel.between(at_rest, at_rest + LONGEST * channel.dt)[1]
-    stretches = [s for s in (quiet_before(channel), after) if len(s) >= SHORTEST]
+    stretches = [s for s in (read_quiet(channel), after) if len(s) >= SHORTEST]
     everything = channel.read(0, min(channel.n, LONGEST))
-    found = noise_of(stretches) if stretches else difference_noise(everything)
-    return at_least_resolution(found, everything)
+    found = estimate_noise(stretches) if stretches else estimate_difference_noise(everything)
+    return raise_to_resolution(found, everything)
 
 
-def pooled_noise(recordings: Recordings, which: str) -> Noise:
+def pool_noise(recordings: Recordings, which: str) -> Noise:
     """The noise of channel `which` (`force`, `position`), from the quiet time of all pushes.
 
-    Where channels differ in rate, each push needs its own (`quiet_noise`): raises `InputError`,
-    as it does where no push has the channel.
+    Where channels differ in rate, each push needs its own (`estimate_quiet_noise`): raises
+    `InputError`, as it does where no push has the channel.
     """
     channels = [c for r in recordings if (c := getattr(r, which)) is not None]
     if not channels:
         raise InputError(f"{recordings.source}: no push has a channel {which}".lstrip(": "))
     if np.ptp([c.dt for c in channels]) > 1e-6 * channels[0].dt:
         raise InputError(f"{recordings.source}: channels {which} differ in rate".lstrip(": "))
-    stretches = [s for c in channels if len(s := quiet_before(c)) >= SHORTEST]
+    stretches = [s for c in channels if len(s := read_quiet(c)) >= SHORTEST]
     if not stretches:
-        single = [quiet_noise(c) for c in channels]
+        single = [estimate_quiet_noise(c) for c in channels]
         return single[int(np.argsort([s.level for s in single])[len(single) // 2])]
     first = channels[0].read(0, min(channels[0].n, LONGEST))
-    return at_least_resolution(noise_of(stretches), first)
-
-
-def lag_one(residuals: ArrayLike) -> float:
-    """z-score of the correlation of neighbouring residuals (n,): standard normal if white."""
-    r = np.asarray(residuals, float)
-    r = r - r.mean()
-    return float((r[1:] @ r[:-1]) / (r @ r) * np.sqrt(len(r)) + 1 / np.sqrt(len(r)))
-
-
-def ljung_box(residuals: ArrayLike, lags: int = 10, fitted: int = 0) -> float:
-    """p-value of the Ljung-Box test that residuals (n,), n > lags, are white.
-
-    `fitted`: parameters of a noise model that were estimated from them.
-    Source: G. M. Ljung, G. E. P. Box, Biometrika 65 (1978) 297.
-    """
-    r = np.asarray(residuals, float)
-    r = r - r.mean()
-    n, k = len(r), np.arange(1, lags + 1)
-    rho = np.array([r[j:] @ r[:-j] for j in k]) / (r @ r)
-    return float(scipy.stats.chi2.sf(n * (n + 2) * np.sum(rho**2 / (n - k)), lags - fitted))
+    return raise_to_resolution(estimate_noise(stretches), first)

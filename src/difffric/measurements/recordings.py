@@ -55,7 +55,7 @@ class Channel:
         lo, hi = (int(np.clip(np.ceil((t - self.start) / self.dt), 0, self.n)) for t in (t_0, t_1))
         return self.start + self.dt * np.arange(lo, hi), self.read(lo, max(lo, hi))
 
-    def scaled(self, factor: float, unit: str) -> Channel:
+    def scale(self, factor: float, unit: str) -> Channel:
         """The same samples times a factor, in another unit."""
         read = self.read
         return replace(self, unit=unit, read=lambda lo, hi: factor * read(lo, hi))
@@ -87,7 +87,7 @@ class Recording:
         sensor's sensitivity [V/N]."""
         if self.force is None or self.force.unit == "N":
             return self
-        return replace(self, force=self.force.scaled(1.0 / sensitivity, "N"))
+        return replace(self, force=self.force.scale(1.0 / sensitivity, "N"))
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 
 from difffric.atomic_files import opened
 from difffric.errors import InputError
-from difffric.measurements.checks import checked_data
+from difffric.measurements.checks import check_data
 from difffric.measurements.files.tdms_reader import read_recordings
 from difffric.measurements.files.tdms_segments import read_contents
 from difffric.measurements.load_file import load
@@ -116,7 +116,7 @@ class Feed:
             loaded: Any = load(path, skip_bad=skip_bad)  # one of two kinds, and stays so
             rig = self.monitor.setup.rig
             options = {"use_data_mass": use_data_mass, "skip_bad": skip_bad}
-            data: Pushes | Recordings = checked_data(loaded, rig, **options)
+            data: Pushes | Recordings = check_data(loaded, rig, **options)
             self.skipped += data.skipped
             items = list_items(data)
             source, new = self._find_unseen(path, items)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.errors import DifffricError, InputError
-from difffric.measurements.checks import checked_data
+from difffric.measurements.checks import check_data
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recording, Recordings
 from difffric.measurements.reduction.reduce import reduce_recordings
@@ -144,7 +144,7 @@ class Monitor:
         }  # fmt: skip
         self.check(source, recording.name, content, recording.order)
         try:
-            alone = checked_data(Recordings((recording,)), self.setup.rig, use_data_mass=True)
+            alone = check_data(Recordings((recording,)), self.setup.rig, use_data_mass=True)
             push = reduce_recordings(alone).pushes
         except DifffricError as error:
             return self.update(recording.velocity, reason=" ".join(str(error).split()), **said)

@@ -39,7 +39,7 @@ class Key:
     fixed: bool = False
     """whether it stays at its null, the law's own default, unless another value is given"""
 
-    def to_law(self, value):
+    def to_law(self, value: Any) -> Any:
         """The law's number for the file's, and the file's for the law's."""
         if not self.inverse:
             return value
@@ -284,16 +284,16 @@ def component_of(effect: str) -> str:
 
 def parameter_names(rig: Rig) -> tuple[str, ...]:
     """The parameters of the effects that the rig has, in the catalogue's order."""
-    return tuple(name for name, (effect, _) in KEYS.items() if _found(rig, effect) is not None)
+    return tuple(name for name, (effect, _) in KEYS.items() if _find_law(rig, effect) is not None)
 
 
 def where(name: str):
     """(rig -> the law's number behind a name, how the law has a value)."""
     if name in GIVEN:
         effect, field = GIVEN[name]
-        return lambda rig: getattr(_found(rig, effect), field), lambda value: value
+        return lambda rig: getattr(_find_law(rig, effect), field), lambda value: value
     effect, key = KEYS[name]
-    return lambda rig: getattr(_found(rig, effect), key.field), key.to_law
+    return lambda rig: getattr(_find_law(rig, effect), key.field), key.to_law
 
 
 def with_numbers(rig: Rig, numbers: Mapping[str, Any]) -> Rig:
@@ -303,7 +303,7 @@ def with_numbers(rig: Rig, numbers: Mapping[str, Any]) -> Rig:
     return eqx.tree_at(lambda r: [at(r) for at in wheres], rig, list(numbers.values()))
 
 
-def _found(rig: Rig, effect: Effect) -> Any:
+def _find_law(rig: Rig, effect: Effect) -> Any:
     """The effect's law among those of its component; None where the rig has none."""
     at = getattr(rig, effect.component)
     while at is not None and not isinstance(at, effect.law):  # pyright: ignore[reportArgumentType]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from difffric import units
 from difffric.rig import catalogue
 from difffric.rig.catalogue import CATALOGUE, Effect, Key
 from difffric.rig.contact import UnilateralSpringDamper
@@ -20,85 +20,95 @@ from difffric.rig.parameters import PARAMETERS, range_of
 from difffric.rig.pusher import ConstantSpeed
 from difffric.rig.rig import Rig
 from difffric.rig.sensors import ForceSensor, Probe
-from difffric.value_ranges import POSITIVE, SCATTER, Range
+from difffric.value_ranges import ANY, POSITIVE, SCATTER, AbstractQuantity, Range
 
 
-@dataclass(frozen=True)
-class Quantity:
-    """A number of the file: its range, where it stands in a `Setup`, the file's unit in SI."""
+@dataclass(frozen=True, kw_only=True)
+class AbstractSetupQuantity(AbstractQuantity):
+    """A number of the file, and where it stands in a `Setup`; `attribute` is what messages on a
+    rig call it."""
 
+    range: Range = ANY
     section: str
-    key: str
-    range: Range
-    attribute: str
-    """what messages on a rig call it"""
-    unit: float = 1.0
+    """the table that it stands in"""
     required: bool = False
+
+    @property
+    @abc.abstractmethod
+    def name(self) -> str:
+        """Its name among the parameters where it has one, else section.key."""
+
+    @abc.abstractmethod
+    def of(self, setup: Any) -> Any:
+        """What a set-up holds."""
+
+    def of_rig(self, held: Any) -> Any:
+        """The value [SI] of what a rig holds, or the values of an array."""
+        return held
+
+    def text(self, held: float) -> str | None:
+        """The file's number for what a rig holds; None: it goes without saying."""
+        return self.from_si(held) if math.isfinite(held) else repr(held)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlainQuantity(AbstractSetupQuantity):
+    """A number of a rig without effects."""
+
     same_as: str | None = None
     """the key of (1) or (2) that it is another name of"""
+    infinite_is_none: bool = False
+    """whether an infinite value in a rig means that there is none"""
 
     @property
     def name(self) -> str:
-        """Its name among the parameters where it has one, else section.key."""
         key = self.same_as or self.key
         return key if key in PARAMETERS else f"{self.section}.{key}"
 
-    def of(self, setup) -> Any:
-        """What a set-up holds."""
+    def of(self, setup: Any) -> Any:
         if not self.attribute.startswith("rig."):
             return getattr(setup, self.attribute)
         _, *part, field = self.attribute.split(".")
         return getattr(innermost(attrgetter(*part)(setup.rig)) if part else setup.rig, field)
 
-    def of_rig(self, held) -> Any:
-        """The value [SI] of what a rig holds, or the values of an array."""
-        return held
-
-    def to_si(self, number: Decimal) -> float:
-        """The value [SI] of the file's number.
-
-        In decimal the two turn into each other without loss, as units are powers of ten; in
-        binary a length could come back one digit off.
-        """
-        value = float(number)
-        return float(number * Decimal(repr(self.unit))) if math.isfinite(value) else value
-
     def text(self, held: float) -> str | None:
-        """The file's number for what a rig holds; None: it goes without saying."""
-        if not math.isfinite(held):
-            return None if self is STROKE and held > 0 else repr(held)
-        exact = Decimal(repr(held)) / Decimal(repr(self.unit))
-        short = repr(float(exact))
-        return short if Decimal(short) == exact else str(exact)
+        return None if self.infinite_is_none and held == math.inf else super().text(held)
 
 
-STROKE = Quantity("pusher", "stroke_mm", POSITIVE, "rig.pusher.stroke", units.MM)
-"""Infinite in a rig it means none."""
+def _plain(
+    section: str, key: str, attribute: str, range: Range = POSITIVE, unit: str = "1", **more: Any
+) -> PlainQuantity:
+    return PlainQuantity(
+        key=key, attribute=attribute, range=range, unit=unit, section=section, **more
+    )
 
 
-def _parameter(key: str, attribute: str, required: bool = False) -> Quantity:
+_MILLI, _MICRO = "0.001", "0.000001"  # of the SI unit; decimal, as `AbstractQuantity` computes
+
+STROKE = _plain("pusher", "stroke_mm", "rig.pusher.stroke", unit=_MILLI, infinite_is_none=True)
+
+
+def _parameter(key: str, attribute: str, required: bool = False) -> PlainQuantity:
     """A parameter of the laws of (1) and (2), with what the table of parameters knows of it."""
     row = PARAMETERS[key]
-    return Quantity(row.component, key, row.range, attribute, required=required)
+    return _plain(row.component, key, attribute, row.range, required=required)
 
 
 PLAIN = (
     _parameter("mass_kg", "rig.mass", required=True),
     _parameter("mu_s", "rig.friction.mu_s", required=True),
-    Quantity("friction", "mu_s_scatter", SCATTER, "mu_s_scatter"),
+    _plain("friction", "mu_s_scatter", "mu_s_scatter", SCATTER),
     _parameter("mu_k_over_mu_s", "rig.friction.mu_k_over_mu_s"),
     _parameter("k_v_N_s_per_m", "rig.friction.k_v"),
     _parameter("k_N_per_m", "rig.contact.k", required=True),
     _parameter("b_N_s_per_m", "rig.contact.b", required=True),
     STROKE,
-    Quantity(
-        "force_sensor", "sensitivity_mV_per_N", POSITIVE, "rig.force_sensor.sensitivity", units.MV
-    ),
-    Quantity("force_sensor", "range_N", POSITIVE, "rig.force_sensor.range"),
-    Quantity("force_sensor", "rate_Hz", POSITIVE, "rig.force_sensor.rate"),
-    Quantity("force_sensor", "noise_N", POSITIVE, "rig.force_sensor.noise"),
-    Quantity("probe", "resolution_um", POSITIVE, "rig.probe.resolution", units.UM),
-    Quantity("probe", "noise_um", POSITIVE, "rig.probe.noise", units.UM),
+    _plain("force_sensor", "sensitivity_mV_per_N", "rig.force_sensor.sensitivity", unit=_MILLI),
+    _plain("force_sensor", "range_N", "rig.force_sensor.range"),
+    _plain("force_sensor", "rate_Hz", "rig.force_sensor.rate"),
+    _plain("force_sensor", "noise_N", "rig.force_sensor.noise"),
+    _plain("probe", "resolution_um", "rig.probe.resolution", unit=_MICRO),
+    _plain("probe", "noise_um", "rig.probe.noise", unit=_MICRO),
 )
 """The numbers of a rig without effects. One that is neither there nor required takes its class's
 default."""
@@ -108,7 +118,7 @@ _FLOAT_DIGITS = 17
 
 
 @dataclass(frozen=True, kw_only=True)
-class EffectQuantity(Quantity):
+class EffectQuantity(AbstractSetupQuantity):
     """A number of an effect, which stands in a law around the laws of its component."""
 
     effect: Effect
@@ -119,13 +129,13 @@ class EffectQuantity(Quantity):
         """`id.key`, as the parameters have it."""
         return self.attribute
 
-    def of(self, setup) -> Any:
+    def of(self, setup: Any) -> Any:
         around = layers(getattr(setup.rig, self.effect.component))
         law = next(law for law in around if type(law) is self.effect.law)
         held = getattr(law, self.of_law.field)
         return self.of_law.null if held is None else held
 
-    def of_rig(self, held) -> Any:
+    def of_rig(self, held: Any) -> Any:
         if not self.of_law.inverse:
             return held
         with np.errstate(divide="ignore"):
@@ -155,7 +165,13 @@ def _quantity(effect: Effect, key: Key) -> EffectQuantity:
     range = range_of(name, key)
     needed = math.isinf(key.null) and not range.infinite
     return EffectQuantity(
-        f"effects.{effect.id}", key.name, range, name, required=needed, effect=effect, of_law=key
+        key=key.name,
+        attribute=name,
+        range=range,
+        section=f"effects.{effect.id}",
+        required=needed,
+        effect=effect,
+        of_law=key,
     )
 
 
@@ -166,23 +182,23 @@ OF_EFFECTS = {
 }
 """id -> the numbers of the effect."""
 
-MU_RATIO = Quantity(
+MU_RATIO = _plain(
     f"effects.{catalogue.RATIO}",
     "ratio",
-    PARAMETERS["mu_k_over_mu_s"].range,
     "rig.friction.mu_k_over_mu_s",
+    PARAMETERS["mu_k_over_mu_s"].range,
     required=True,
     same_as="mu_k_over_mu_s",
 )
 
-QUANTITIES: tuple[Quantity, ...] = (
+QUANTITIES: tuple[AbstractSetupQuantity, ...] = (
     *PLAIN,
     MU_RATIO,
     *(q for qs in OF_EFFECTS.values() for q in qs),
 )
 """All numbers of the file. Of two that are the same one the latter counts."""
 
-SECTIONS: dict[str, dict[str, Quantity]] = {
+SECTIONS: dict[str, dict[str, AbstractSetupQuantity]] = {
     section: {q.key: q for q in QUANTITIES if q.section == section}
     for section in dict.fromkeys(q.section for q in QUANTITIES)
 }

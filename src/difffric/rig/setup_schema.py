@@ -19,7 +19,7 @@ from pydantic_core import PydanticCustomError
 
 from difffric.errors import InputError
 from difffric.rig import catalogue
-from difffric.rig.quantities import QUANTITIES, SECTIONS, Quantity
+from difffric.rig.quantities import QUANTITIES, SECTIONS, AbstractSetupQuantity
 from difffric.value_ranges import ANY, NOT_NEGATIVE, Range
 
 
@@ -35,7 +35,9 @@ def validate_document(document: dict, name: str) -> Any:
         raise InputError("\n".join(f"{name}: {problem}" for problem in problems)) from None
 
 
-def iterate_entries(model: Any, document: dict) -> Iterator[tuple[Quantity, Any, bool]]:
+def iterate_entries(
+    model: Any, document: dict
+) -> Iterator[tuple[AbstractSetupQuantity, Any, bool]]:
     """Each quantity that the document says, its entry, and whether it is given as a table."""
     for q in QUANTITIES:
         table, given = model, document
@@ -58,7 +60,7 @@ def _format_given(given) -> str:
     return {dict: "a table", list: "a list"}.get(type(given), str(given))
 
 
-def _number(range: Range, q: Quantity | None = None) -> pydantic.PlainValidator:
+def _number(range: Range, q: AbstractSetupQuantity | None = None) -> pydantic.PlainValidator:
     """A number in a range: a quantity's value as the file has it, else a float."""
 
     def validate(given):
@@ -72,11 +74,11 @@ def _number(range: Range, q: Quantity | None = None) -> pydantic.PlainValidator:
     return pydantic.PlainValidator(validate)
 
 
-class _Table(pydantic.BaseModel):
+class _StrictModel(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(extra="forbid", strict=True)
 
 
-class _Entry(_Table):
+class _Entry(_StrictModel):
     """A number with its extras."""
 
     value: Any  # each quantity has its own range
@@ -86,7 +88,7 @@ class _Entry(_Table):
     upper: Annotated[float | None, _number(ANY)] = None
 
     @pydantic.model_validator(mode="after")
-    def _ordered(self):
+    def _check_order(self):
         value = float(self.value)
         lower = -math.inf if self.lower is None else self.lower
         upper = math.inf if self.upper is None else self.upper
@@ -99,7 +101,7 @@ class _Entry(_Table):
         return self
 
 
-def _entry(q: Quantity) -> Any:
+def _entry(q: AbstractSetupQuantity) -> Any:
     """The field of one quantity, which may be plain too."""
     value: Any = (Annotated[Any, _number(q.range, q)], ...)
     model: Any = pydantic.create_model(q.key, __base__=_Entry, value=value)
@@ -107,11 +109,11 @@ def _entry(q: Quantity) -> Any:
     return (Annotated[model, as_table], ... if q.required else None)
 
 
-class _Effect(_Table):
+class _EffectTable(_StrictModel):
     """The numbers of an effect."""
 
     @pydantic.model_validator(mode="after")
-    def _not_empty(self):
+    def _check_not_empty(self):
         if not self.model_fields_set:
             raise _refuse(f"expected some of its keys: {', '.join(type(self).model_fields)}")
         return self
@@ -120,16 +122,18 @@ class _Effect(_Table):
 def _section(section: str) -> Any:
     of_effect = "." in section
     entries: Any = {key: _entry(q) for key, q in SECTIONS[section].items()}
-    model = pydantic.create_model("_Section", __base__=_Effect if of_effect else _Table, **entries)
+    model = pydantic.create_model(
+        "_Section", __base__=_EffectTable if of_effect else _StrictModel, **entries
+    )
     return (model, None if of_effect else ...)
 
 
 _EFFECTS = [section.removeprefix("effects.") for section in SECTIONS if "." in section]
 _FIELDS: Any = {section: _section(section) for section in SECTIONS if "." not in section}
 _EACH: Any = {name: _section(f"effects.{name}") for name in _EFFECTS}
-_FIELDS["effects"] = (pydantic.create_model("_Effects", __base__=_Table, **_EACH), ...)
+_FIELDS["effects"] = (pydantic.create_model("_Effects", __base__=_StrictModel, **_EACH), ...)
 _TABLES = [*_FIELDS]
-_File: Any = pydantic.create_model("_File", __base__=_Table, **_FIELDS)
+_File: Any = pydantic.create_model("_File", __base__=_StrictModel, **_FIELDS)
 
 
 def _describe(error: Mapping[str, Any], document: dict) -> str:

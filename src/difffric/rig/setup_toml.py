@@ -29,8 +29,8 @@ from difffric.rig.quantities import (
     PLAIN,
     PLAIN_LAWS,
     SECTIONS,
+    AbstractSetupQuantity,
     EffectQuantity,
-    Quantity,
     effects_of,
     has_plain_law,
     layers,
@@ -167,7 +167,7 @@ def _find_disorder(rig: Rig) -> list[str]:
     return problems
 
 
-def _format_value(q: Quantity, value: Any, extras: Extras | None) -> str | None:
+def _format_value(q: AbstractSetupQuantity, value: Any, extras: Extras | None) -> str | None:
     """The value of a number's key, or None where there is nothing to say."""
     number = None
     if value is not None:

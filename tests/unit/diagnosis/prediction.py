@@ -11,7 +11,7 @@ from difffric.diagnosis.extended_setup import strip_effects
 from difffric.estimation import ensemble_refits
 from difffric.estimation.effect_coordinates import PLAIN
 from difffric.estimation.ensemble import Fits
-from difffric.measurements.checks import checked_data
+from difffric.measurements.checks import check_data
 from difffric.measurements.recordings import Recordings
 from difffric.measurements.reduction.reduce import reduce_recordings
 from difffric.rig import parameters
@@ -22,7 +22,7 @@ def prediction_error(setup: Setup, data, noise=(0.5, 0.3e-6), **options) -> floa
     """Root mean square residual in units of the noise; of a table's F_p and d that noise's
     standard deviations are given."""
     plain, known = strip_effects(setup)
-    data = checked_data(data, plain.rig, **options)
+    data = check_data(data, plain.rig, **options)
     reduction = reduce_recordings(data) if isinstance(data, Recordings) else None
     measured = reduction.pushes if reduction else data
     errors = None if reduction else np.tile(noise, (len(measured), 1))

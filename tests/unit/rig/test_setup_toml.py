@@ -138,7 +138,7 @@ def test_units_agree_with_units_py():
     known = {"mm": units.MM, "um": units.UM, "mV_per_N": units.MV}
     for q in QUANTITIES:
         suffix = next((suffix for suffix in known if q.key.endswith(f"_{suffix}")), None)
-        assert q.unit == known.get(suffix, 1.0), q.key
+        assert float(q.unit) == known.get(suffix, 1.0) and q.per == 1, q.key
 
 
 def test_load_setup_gives_the_rig_alone(file):

@@ -20,7 +20,14 @@ from numpy.typing import NDArray
 from difffric.atomic_files import read_bytes, write_whole
 from difffric.errors import InputError
 from difffric.measurements.pushes import Pushes
-from difffric.measurements.quantities import QUANTITIES, Measured, decimal, one_line, told, unknown
+from difffric.measurements.quantities import (
+    QUANTITIES,
+    PushQuantity,
+    describe_unknown,
+    join_problems,
+    parse_decimal,
+    shorten_to_line,
+)
 
 BY_KEY = {q.key: q for q in QUANTITIES}
 _TEN_TO = np.array([float(f"1e{n}") for n in range(23)])  # exact
@@ -41,7 +48,7 @@ def read_table(path: str | os.PathLike, *, skip_bad: bool = False) -> Pushes:
     header, frame, problems = _frame(text, path)
     wrong = _column_problems(header)
     if wrong:
-        raise InputError(told([f"{path}: {problem}" for problem in wrong]))
+        raise InputError(join_problems([f"{path}: {problem}" for problem in wrong]))
     columns: dict[str, Any] = {}
     for name in header:
         columns[BY_KEY[name].attribute], bad = _column(frame, BY_KEY[name])
@@ -50,13 +57,13 @@ def read_table(path: str | os.PathLike, *, skip_bad: bool = False) -> Pushes:
     lines = [f"{path}: line {problem}" for _, problem in sorted(problems, key=lambda p: p[0])]
     bad_lines = {line for line, _ in problems}
     if lines and not skip_bad:
-        raise InputError(told(lines))
+        raise InputError(join_problems(lines))
     keep = [i for i, line in enumerate(frame["line"]) if line not in bad_lines]
     if not keep:
         what = "no row of it can be used" if lines else "no rows below the header: expected pushes"
-        raise InputError(told([f"{path}: {what}", *lines]))
+        raise InputError(join_problems([f"{path}: {what}", *lines]))
     used: dict[str, Any] = {k: [x[i] for i in keep] for k, x in columns.items()}
-    return Pushes(**used, source=str(path), skipped=tuple(map(one_line, lines)))
+    return Pushes(**used, source=str(path), skipped=tuple(map(shorten_to_line, lines)))
 
 
 def write_table(pushes: Pushes, path: str | os.PathLike) -> None:
@@ -132,7 +139,7 @@ def _column_problems(header: list[str]) -> list[str]:
         if not name:
             problems.append(f"column {i + 1} has no name")
         elif name not in BY_KEY:
-            problems.append(f"column {name}: {unknown(name, QUANTITIES)}")
+            problems.append(f"column {name}: {describe_unknown(name, QUANTITIES)}")
     slides = "release_velocity_mm_min" in header and "sliding_distance_um" in header
     if "velocity_mm_min" not in header and not slides:
         problems.append(
@@ -146,7 +153,7 @@ def _column_problems(header: list[str]) -> list[str]:
     return problems
 
 
-def _column(frame: pl.DataFrame, q: Measured) -> tuple[list, list[tuple[int, str]]]:
+def _column(frame: pl.DataFrame, q: PushQuantity) -> tuple[list, list[tuple[int, str]]]:
     """The values [SI] of a column, NaN (or "") where not measured; and the cells that are wrong."""
     if q.range is None:
         return frame[q.key].fill_null("").to_list(), []
@@ -154,17 +161,19 @@ def _column(frame: pl.DataFrame, q: Measured) -> tuple[list, list[tuple[int, str
     values = np.where(q.range.holds(values), values, np.nan)
     rest = frame.select("line", q.key).with_row_index().filter(np.isnan(values))
     for i, line, cell in rest.filter(pl.col(q.key).is_not_null()).iter_rows():
-        number = decimal(cell)
+        number = parse_decimal(cell)
         value = math.nan if number is None else q.to_si(number)
         if math.isfinite(value) and q.range.holds(value):
             values[i] = value
             continue
-        comma = f" ({_COMMA})" if number is None and decimal(cell.replace(",", ".", 1)) else ""
+        comma = (
+            f" ({_COMMA})" if number is None and parse_decimal(cell.replace(",", ".", 1)) else ""
+        )
         problems.append((line, f"{line}, {q.key}: {q.range.expected(value)}, got {cell!r}{comma}"))
     return values.tolist(), problems
 
 
-def _plain(cells: pl.Series, q: Measured) -> NDArray:
+def _plain(cells: pl.Series, q: PushQuantity) -> NDArray:
     """(n,) the values [SI] of decimals of at most 15 digits, each as by `to_si`; NaN for others.
 
     Digits over a power of ten, both exact as floats, so that only the quotient is rounded.

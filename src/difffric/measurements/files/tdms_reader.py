@@ -16,7 +16,13 @@ from difffric.atomic_files import opened
 from difffric.errors import InputError
 from difffric.measurements.files.tdms_samples import OpenFile, Samples, scaling_of
 from difffric.measurements.files.tdms_segments import Contents, TdmsObject, read_contents
-from difffric.measurements.quantities import OF_RECORDING, meant, one_line, told, unknown
+from difffric.measurements.quantities import (
+    OF_RECORDING,
+    describe_unknown,
+    find_meant,
+    join_problems,
+    shorten_to_line,
+)
 from difffric.measurements.recordings import Channel, Recording, Recordings
 
 _FORCE = {"N": ("N", 1.0), "V": ("V", 1.0)}
@@ -80,8 +86,8 @@ def _recordings(contents: Contents, file: OpenFile, path, skip_bad: bool) -> Rec
     if not names and not problems:
         problems.append(f"{path}: no groups, expected one for each push")
     if problems and not (skip_bad and pushes):
-        raise InputError(told(problems))
-    return Recordings(tuple(pushes), str(path), tuple(map(one_line, problems)))
+        raise InputError(join_problems(problems))
+    return Recordings(tuple(pushes), str(path), tuple(map(shorten_to_line, problems)))
 
 
 def _recording(
@@ -92,7 +98,7 @@ def _recording(
     channels = {c: one for (g, c), one in contents.channels.items() if g == name}
     said, words = _properties(group.properties)
     problems = [f"{where}: {problem}" for problem in words]
-    again = _written_twice(group, channels)
+    again = _describe_rewriting(group, channels)
     if again:
         problems.append(f"{where}: {again}")
     found: dict[str, Any] = {}
@@ -115,7 +121,7 @@ def _recording(
         problems.append(f"{where}: expected a channel force or position, got {got}")
     if problems:
         return None, problems
-    return Recording(**said, **found, name=name, started=_started(channels)), []
+    return Recording(**said, **found, name=name, started=_find_start(channels)), []
 
 
 def _channel(
@@ -153,7 +159,7 @@ def _channel(
     return Channel(one.n, dt, start, to, Samples(file, where, one, scaling, divisor).read)
 
 
-def _started(channels: Mapping[str, TdmsObject]) -> float:
+def _find_start(channels: Mapping[str, TdmsObject]) -> float:
     """The earliest `wf_start_time` of a group's channels [s since 1970]; NaN where none is said.
     A clock that was never set says 1904."""
     said = [one.properties.get("wf_start_time") for one in channels.values()]
@@ -170,7 +176,7 @@ def _agree(samples: float, one: TdmsObject) -> bool:
     return 0 < samples < one.n and (in_parts or one.n % samples == 0)
 
 
-def _written_twice(group: TdmsObject, channels: Mapping[str, TdmsObject]) -> str:
+def _describe_rewriting(group: TdmsObject, channels: Mapping[str, TdmsObject]) -> str:
     """What to say of a group that stands for two pushes, as after a concatenation; else empty.
 
     A writer that streams may repeat a group's properties, but then its `wf_samples` is that of
@@ -208,8 +214,8 @@ def _properties(given: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
         if name in _KEYS or not isinstance(value, int | float):
             continue
         # A file may say what it likes, but a mass in grams must not pass for none.
-        if (q := meant(name, OF_RECORDING, 0.8)) and q.key not in given:
-            problems.append(f"property {name}: {unknown(name, [q])}")
+        if (q := find_meant(name, OF_RECORDING, 0.8)) and q.key not in given:
+            problems.append(f"property {name}: {describe_unknown(name, [q])}")
     if "velocity_mm_min" not in given and not any("velocity_mm_min" in p for p in problems):
         problems.append("velocity_mm_min: missing, expected a number > 0")
     return said, problems

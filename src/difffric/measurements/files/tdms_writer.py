@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from difffric.atomic_files import write_whole
 from difffric.errors import DiskError, InputError
 from difffric.measurements.files.tdms_reader import CHANNELS
-from difffric.measurements.quantities import OF_RECORDING, told
+from difffric.measurements.quantities import OF_RECORDING, join_problems
 from difffric.measurements.recordings import Channel, Recording, Recordings
 
 _CHUNK = 1 << 20  # samples
@@ -179,7 +179,7 @@ def write_recordings(
         if push.force is not None and push.force.unit != force_unit
     ]
     if wrong:
-        raise InputError(told(wrong))
+        raise InputError(join_problems(wrong))
 
     def write(file):
         segments = _Segments(file, path)
@@ -249,7 +249,7 @@ class _Segments:
             if not (np.isfinite(value) and q.range.holds(value)):
                 problems.append(f"{where}: {key}: {q.range.expected(value)}, got {value!r}")
         if problems:
-            raise InputError(told(problems))
+            raise InputError(join_problems(problems))
         said = {key: value for key, value in properties.items() if value is not None}
         said |= marks or {}
         root = [] if self._names else [RootObject({"description": "push recordings"})]

@@ -48,7 +48,7 @@ def _spread(kernel: NDArray, noise: Noise) -> float:
     return float(noise.level * np.sqrt(kernel @ (np.sign(phi) ** lag * abs(phi) ** lag) @ kernel))
 
 
-def _smoothed(y: NDArray, size: int) -> NDArray:
+def _smooth(y: NDArray, size: int) -> NDArray:
     """Moving mean over `size` points, fewer at the ends."""
     ones = np.ones(min(size, len(y)))
     return np.convolve(y, ones, "same") / np.convolve(np.ones(len(y)), ones, "same")
@@ -65,7 +65,7 @@ def _jumps(y: NDArray, size: int) -> tuple[NDArray, NDArray]:
     return out, kernel
 
 
-def _located(force: Channel, t: float, dt: float) -> float:
+def _locate(force: Channel, t: float, dt: float) -> float:
     """A jump found among blocks near t, between two samples: the best step there."""
     times, y = force.between(t - 1.5 * dt, t + 1.5 * dt)
     if dt < 1.5 * force.dt or len(y) < 4:
@@ -83,13 +83,13 @@ def find_contacts(force: Channel, coarse: Stretch, level: float) -> list[Contact
     f = coarse.y - level
     if len(f) < 8:
         return []
-    half = 0.5 * _smoothed(f, 8).max()
-    above = _smoothed(f, 8) > half
-    width = int(above[np.argmax(_smoothed(f, 8)) :].argmin() or above.sum())
-    back = above[: np.argmax(_smoothed(f, 8)) + 1][::-1]
+    half = 0.5 * _smooth(f, 8).max()
+    above = _smooth(f, 8) > half
+    width = int(above[np.argmax(_smooth(f, 8)) :].argmin() or above.sum())
+    back = above[: np.argmax(_smooth(f, 8)) + 1][::-1]
     width += int(back.argmin() or len(back))
     size = min(max(1, width // 15), SMOOTHEST)
-    smooth = _smoothed(f, size)
+    smooth = _smooth(f, size)
     spread = coarse.noise.level / np.sqrt(coarse.noise.effective(size))
     top = smooth.max()
     if top < _SEEN * spread or top <= 0:
@@ -115,9 +115,9 @@ def find_contacts(force: Channel, coarse: Stretch, level: float) -> list[Contact
         for j in range((i if struck else a) + reach, min(b + 1, len(f) - reach)):
             near = size_of[max(j - reach, 0) : j + reach + 1]
             if size_of[j] > least[j] and size_of[j] == near.max():
-                inside.append(_located(force, float(coarse.t[j]) - coarse.dt / 2, coarse.dt))
+                inside.append(_locate(force, float(coarse.t[j]) - coarse.dt / 2, coarse.dt))
         if struck:
-            onset = _located(force, onset, coarse.dt)
+            onset = _locate(force, onset, coarse.dt)
         at_end = b == len(f)
         found.append(
             Contact(

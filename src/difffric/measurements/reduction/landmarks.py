@@ -8,11 +8,11 @@ import numpy as np
 from numpy.polynomial import polynomial
 
 from difffric.errors import InputError
-from difffric.measurements.noise import Noise, still_at_end
+from difffric.measurements.noise import Noise, count_still
 from difffric.measurements.recordings import Channel
 from difffric.measurements.reduction.contacts import Contact
 from difffric.measurements.reduction.local_polynomials import (
-    Estimate,
+    LocalEstimate,
     LocalFit,
     Stretch,
     best_window,
@@ -43,7 +43,7 @@ def _both(stretch: Stretch, centre: float, least: int) -> dict:
     return {"left": sizes(min(least, i), i), "right": sizes(min(least, n), n)}
 
 
-def _peak_in(force, a, b, noise, centre, width, limits) -> Estimate | None:
+def _peak_in(force, a, b, noise, centre, width, limits) -> LocalEstimate | None:
     """The maximum of the force between the jumps (or edges) a and b, searched near `centre`.
 
     `limits`: (a, b) where the force there is one-sided and may itself be the maximum, else nan.
@@ -90,7 +90,7 @@ def _peak_extra(degree):
     )
 
 
-def _top(fit: LocalFit, stretch, centre, scale, limits, dt) -> tuple[Estimate, bool]:
+def _top(fit: LocalFit, stretch, centre, scale, limits, dt) -> tuple[LocalEstimate, bool]:
     """The fitted polynomial's maximum, and whether it lies inside the window or at a jump."""
     a, slope = fit.coefficients, polynomial.polyder(fit.coefficients)
     ends = [stretch.t[fit.lo], stretch.t[fit.hi - 1]]
@@ -120,10 +120,12 @@ def _top(fit: LocalFit, stretch, centre, scale, limits, dt) -> tuple[Estimate, b
     elif jump and limits[0] != 0.0:  # where between two samples the jump is, is not known
         variance += (float(polynomial.polyval(s, slope)) / scale * dt) ** 2 / 12
     time = centre + s * scale
-    return Estimate(value, float(np.sqrt(variance)), time), jump is None or jump
+    return LocalEstimate(value, float(np.sqrt(variance)), time), jump is None or jump
 
 
-def find_peak(force: Channel, coarse: Stretch, contacts: list[Contact], noise: Noise) -> Estimate:
+def find_peak(
+    force: Channel, coarse: Stretch, contacts: list[Contact], noise: Noise
+) -> LocalEstimate:
     """The force's largest value [N], in whichever contact and between whichever jumps it is."""
     pieces = []
     for contact in contacts:
@@ -151,7 +153,7 @@ def find_peak(force: Channel, coarse: Stretch, contacts: list[Contact], noise: N
         if top > 0.85 * largest
         and (estimate := _peak_in(force, a, b, noise, centre, width, limits)) is not None
     ]
-    return max(found, key=lambda e: e.value) if found else Estimate(np.nan, np.nan, np.nan)
+    return max(found, key=lambda e: e.value) if found else LocalEstimate(np.nan, np.nan, np.nan)
 
 
 class Slide(NamedTuple):
@@ -200,11 +202,11 @@ def _sides(s, power):
     return np.stack([(s < 0) * s**power, (s >= 0) * s**power], axis=1)
 
 
-def find_rest(position: Channel, noise: Noise, velocity: float) -> Estimate | None:
+def find_rest(position: Channel, noise: Noise, velocity: float) -> LocalEstimate | None:
     """The rest position [m] and the time from which no motion is seen; None while it moves."""
     coarse = search(position, noise)
     n = len(coarse.t)
-    still = still_at_end(coarse.y, coarse.noise)
+    still = count_still(coarse.y, coarse.noise)
     if still < 8:
         return None
     wide = min(max(2 * still, 16), n)
@@ -215,4 +217,4 @@ def find_rest(position: Channel, noise: Noise, velocity: float) -> Estimate | No
         return None
     # The first part of what looks still may hide the last of the motion.
     mean = fit_window(coarse, n - max(8, int(0.8 * still)), n, centre, scale, powers(0))
-    return Estimate(mean.coefficients[0], mean.se(), coarse.t[n - still])
+    return LocalEstimate(mean.coefficients[0], mean.se(), coarse.t[n - still])

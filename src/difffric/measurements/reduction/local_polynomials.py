@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from difffric.measurements.noise import Noise, whitening
+from difffric.measurements.noise import Noise, make_whitening
 from difffric.measurements.recordings import Channel
 
 MOST = 400
@@ -26,7 +26,7 @@ _LEVELS = (0.3, 0.03, 0.001)  # p-values of the higher terms: strict first, as w
 _SHRINK = 0.7  # of the window found: it ends where the higher terms begin to show
 
 
-class Estimate(NamedTuple):
+class LocalEstimate(NamedTuple):
     """A value at a time, and the standard error of both."""
 
     value: float
@@ -65,7 +65,7 @@ class Stretch:
         t = start + channel.dt * (lo + (size - 1) / 2 + size * np.arange(n))
         if size == 1:
             return cls(t, y, channel.dt, noise)
-        return cls(t, y, size * channel.dt, noise.averaged(size), size * channel.dt)
+        return cls(t, y, size * channel.dt, noise.average(size), size * channel.dt)
 
     def between(self, t_0: float, t_1: float) -> Stretch:
         """The points with t_0 <= t < t_1."""
@@ -118,7 +118,9 @@ def fit_window(stretch: Stretch, lo, hi, centre, scale, design, extra=None) -> L
     if extra is not None:
         columns = np.concatenate([columns, extra(s, (s[0], s[-1]))], axis=1)
     y = stretch.y[lo:hi]
-    white = whitening(np.arange(lo, hi), stretch.noise)(np.concatenate([columns, y[:, None]], 1))
+    white = make_whitening(np.arange(lo, hi), stretch.noise)(
+        np.concatenate([columns, y[:, None]], 1)
+    )
     norms = np.sqrt(np.einsum("ij,ij->j", white[:, :-1], white[:, :-1]))
     norms[norms == 0] = 1.0
     r: NDArray = np.asarray(
@@ -170,7 +172,10 @@ def _grams(stretch: Stretch, i: int, s: NDArray, columns, left, right, nested) -
         part = slice(i - left[-1], i + right[-1])
         rows = np.concatenate([columns(s[part], (-np.inf, np.inf)), y[part, None]], axis=1)
         rows /= stretch.noise.level
-        before, behind = _nested(rows[: left[-1]][::-1], left), _nested(rows[left[-1] :], right)
+        before, behind = (
+            _sum_nested(rows[: left[-1]][::-1], left),
+            _sum_nested(rows[left[-1] :], right),
+        )
         return before[:, None] + behind
 
     def gram(lo, hi, ends, joined):
@@ -178,7 +183,7 @@ def _grams(stretch: Stretch, i: int, s: NDArray, columns, left, right, nested) -
         begin = lo - 1 if joined else lo
         rows = np.concatenate([columns(s[begin:hi], ends), y[begin:hi, None]], axis=1)
         if correlated:
-            rows = whitening(np.arange(begin, hi), stretch.noise)(rows)[lo - begin :]
+            rows = make_whitening(np.arange(begin, hi), stretch.noise)(rows)[lo - begin :]
         return rows.T @ rows / (1.0 if correlated else stretch.noise.level**2)
 
     n = columns(s[:1], (0.0, 0.0)).shape[1] + 1
@@ -199,7 +204,7 @@ def _grams(stretch: Stretch, i: int, s: NDArray, columns, left, right, nested) -
     return out
 
 
-def _nested(rows: NDArray, sizes: NDArray) -> NDArray:
+def _sum_nested(rows: NDArray, sizes: NDArray) -> NDArray:
     """Gram matrices of the first so many rows, for rising sizes: each adds to the one before."""
     edges = [0, *sizes.tolist()]
     parts = [rows[lo:hi].T @ rows[lo:hi] for lo, hi in pairwise(edges)]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.errors import InputError
-from difffric.measurements.noise import LONGEST, Noise, pooled_noise, quiet_before, quiet_noise
+from difffric.measurements.noise import LONGEST, Noise, estimate_quiet_noise, pool_noise, read_quiet
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Channel, Recording, Recordings
 from difffric.measurements.reduction.contacts import find_contacts
@@ -103,10 +103,10 @@ def _reduce(
 def _with_rest(out: Reduced, recording: Recording, noise: Noise | None) -> Reduced:
     position = recording.position
     assert position is not None
-    used = noise or quiet_noise(position)
+    used = noise or estimate_quiet_noise(position)
     rest = find_rest(position, used, recording.velocity)
     if rest is not None and noise is None:  # the rest, too, says what the noise is
-        used = quiet_noise(position, rest.time)
+        used = estimate_quiet_noise(position, rest.time)
         rest = find_rest(position, used, recording.velocity)
     out = replace(out, noise_position=used)
     if rest is None:
@@ -119,8 +119,8 @@ def _with_force(
 ) -> Reduced:
     force, position = recording.force, recording.position
     assert force is not None
-    noise = noise or quiet_noise(force)
-    quiet = quiet_before(force)
+    noise = noise or estimate_quiet_noise(force)
+    quiet = read_quiet(force)
     if len(quiet) < 8:
         reasons.append("no quiet time: the force's zero is taken as read")
     level = float(np.mean(quiet)) if len(quiet) >= 8 else 0.0
@@ -184,7 +184,7 @@ def _presses(force: Channel, noise: Noise, quiet: NDArray, rest_time: float) -> 
     rest = force.between(rest_time, rest_time + LONGEST * force.dt)[1]
     if len(quiet) < 8 or len(rest) < 8:
         return False
-    spread = np.hypot(noise.averaged(len(quiet)).level, noise.averaged(len(rest)).level)
+    spread = np.hypot(noise.average(len(quiet)).level, noise.average(len(rest)).level)
     return bool(np.mean(rest) - np.mean(quiet) > 4 * spread)
 
 
@@ -222,7 +222,7 @@ def reduce_recordings(recordings: Recordings, *, skip_bad: bool = False) -> Redu
     Raises `InputError` for pushes without contact or without rest, unless `skip_bad`, and for
     what `reduce_push` refuses.
     """
-    noises = [_pooled(recordings, which) for which in ("force", "position")]
+    noises = [_pool_where_alike(recordings, which) for which in ("force", "position")]
     details = [reduce_push(r, *noises) for r in recordings]
     keep, lines = refuse_or_skip(recordings, details, skip_bad)
     kept = replace(recordings.select(keep), skipped=(*recordings.skipped, *lines))
@@ -259,11 +259,11 @@ def reduce_recordings(recordings: Recordings, *, skip_bad: bool = False) -> Redu
 _COPIED = ("mass", "stroke", "mu_s_gauge", "order", "rest_before")
 
 
-def _pooled(recordings: Recordings, which: str) -> Noise | None:
+def _pool_where_alike(recordings: Recordings, which: str) -> Noise | None:
     """The pooled noise, None where each push must speak for itself: other rates, no quiet time."""
     channels = [c for r in recordings if (c := getattr(r, which)) is not None]
     if not channels or np.ptp([c.dt for c in channels]) > 1e-6 * channels[0].dt:
         return None
-    if not any(len(quiet_before(c)) >= 16 for c in channels):
+    if not any(len(read_quiet(c)) >= 16 for c in channels):
         return None
-    return pooled_noise(recordings, which)
+    return pool_noise(recordings, which)

@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.measurements.noise import Noise, whitening
+from difffric.measurements.noise import Noise, make_whitening
 from difffric.measurements.recordings import Channel
 from difffric.measurements.reduction.contacts import SMOOTHEST, Contact
 from difffric.measurements.reduction.local_polynomials import (
-    Estimate,
+    LocalEstimate,
     LocalFit,
     Stretch,
     best_window,
@@ -28,7 +28,7 @@ _DEGREES = ((1, 6), (2, 1 << 30), (3, 1 << 30))  # of the fall, and for how many
 
 def find_release(
     force: Channel, coarse: Stretch, contact: Contact, noise: Noise, stop: float = np.nan
-) -> Estimate:
+) -> LocalEstimate:
     """Where the force of a contact reaches the level after it; `value` is that level [N].
 
     A falling polynomial and a constant that meet: an edge fitted from both sides is neither
@@ -95,14 +95,14 @@ def _tail(force, coarse, contact: Contact, noise) -> _Tail:
     if len(after.t) < 16:
         after = coarse.between(coarse.t[-16] if len(coarse.t) > 16 else -np.inf, np.inf)
     level = float(np.mean(after.y))
-    level_se = after.noise.averaged(len(after.y)).level
+    level_se = after.noise.average(len(after.y)).level
     back = reach
     while True:
         begin = max(contact.onset, contact.end - back)
         near = Stretch.of(force, begin, contact.end + reach, noise)
         total = np.concatenate([[0.0], np.cumsum(near.y - level)])
         ks = sizes(1, len(near.y) // 4)
-        spreads = [np.hypot(near.noise.averaged(k).level, level_se) for k in ks]
+        spreads = [np.hypot(near.noise.average(k).level, level_se) for k in ks]
         spreads = np.maximum(spreads, 2e-4 * contact.top)
         seen = (-1, -1)  # (the latest t's index, -k)
         for k, spread in zip(ks, spreads, strict=True):
@@ -119,13 +119,13 @@ def _tail(force, coarse, contact: Contact, noise) -> _Tail:
     return found._replace(gone=max(edge, earliest + near.dt + found.lasts(i + 1, _UNSEEN)))
 
 
-def _between(level: float, earliest: float, gone: float, dt: float) -> Estimate:
+def _between(level: float, earliest: float, gone: float, dt: float) -> LocalEstimate:
     """A release of which only the bounds are known; half a sample of force may go unseen."""
     width = gone - earliest + dt / 2
-    return Estimate(level, np.nan, earliest + width / 2, width / np.sqrt(12))
+    return LocalEstimate(level, np.nan, earliest + width / 2, width / np.sqrt(12))
 
 
-def _after_kink(force, noise, tail: _Tail, kink: float) -> Estimate:
+def _after_kink(force, noise, tail: _Tail, kink: float) -> LocalEstimate:
     """The release where the force has a kink or a jump about where it is last seen."""
     near = tail.near
     i = int(np.searchsorted(near.t - near.block / 2, kink + 0.51 * force.dt))
@@ -140,14 +140,14 @@ def _after_kink(force, noise, tail: _Tail, kink: float) -> Estimate:
     return _between(tail.level, earliest, gone + tail.unseen, force.dt)
 
 
-def _fall(force, noise, tail: _Tail, begin: float) -> Estimate | None:
+def _fall(force, noise, tail: _Tail, begin: float) -> LocalEstimate | None:
     """The edge at the end of a fall that lasts since `begin` at most; None: too few samples."""
     earliest, edge = tail.earliest, tail.edge
     latest = max(tail.gone, edge + 3 * (edge - earliest)) + 2 * force.dt
     begin += 0.51 * force.dt
     flank = max(edge - begin, 4 * force.dt)
     scale = min(max(4 * (edge - earliest), 8 * force.dt, flank / 64), flank)
-    best: tuple[tuple[float, float], Estimate] | None = None
+    best: tuple[tuple[float, float], LocalEstimate] | None = None
     failed = 0
     while True:
         after = max(2 * scale, 60 * force.dt)
@@ -168,7 +168,7 @@ def _fall(force, noise, tail: _Tail, begin: float) -> Estimate | None:
 
 def _edge(
     stretch: Stretch, edge: float, scale: float, within: tuple[float, float]
-) -> tuple[tuple[float, float], LocalFit, Estimate] | None:
+) -> tuple[tuple[float, float], LocalFit, LocalEstimate] | None:
     """(rank, fit, the edge), searched `within` these times; None where nothing falls.
 
     The rank is how well the fit passes and then the width of its window: not the error found for
@@ -211,7 +211,7 @@ def _edge(
         stepped = fit.reduced_chi2 * max(fit.hi - fit.lo - degree - 2, 1)
         if chi2 > stepped + _STEP:  # the fall and the level do not meet
             passed = 0.0
-        best = (passed, width), fit, Estimate(fit.coefficients[0], fit.se(), edge, spread)
+        best = (passed, width), fit, LocalEstimate(fit.coefficients[0], fit.se(), edge, spread)
         if moved < spread / 2:
             break
     return best
@@ -259,7 +259,7 @@ def _profile(stretch, fit: LocalFit, degree, edges, scale):
     columns = _edge_columns(degree, stretch.block / scale)(s).reshape(len(edges), len(t), -1)
     y = np.broadcast_to(stretch.y[fit.lo : fit.hi], columns.shape[:2])
     both = np.moveaxis(np.concatenate([columns, y[..., None]], axis=2), 1, 0)
-    white = np.moveaxis(whitening(np.arange(len(t)), stretch.noise)(both), 0, 1)
+    white = np.moveaxis(make_whitening(np.arange(len(t)), stretch.noise)(both), 0, 1)
     norms = np.linalg.norm(white, axis=1, keepdims=True)
     norms[norms == 0] = 1.0
     r: NDArray = np.asarray(np.linalg.qr(white / norms, mode="r"))

@@ -18,12 +18,12 @@ from nptdms import ChannelObject, GroupObject, RootObject, TdmsFile, TdmsWriter
 import difffric as df
 from difffric import units
 from difffric.errors import InputError
-from difffric.measurements.checks import checked_data
+from difffric.measurements.checks import check_data
 from difffric.measurements.files.table_csv import _plain, read_table, write_table
 from difffric.measurements.files.tdms_reader import read_recordings
 from difffric.measurements.files.tdms_writer import RecordingWriter, Waveform, write_recordings
 from difffric.measurements.pushes import COLUMNS, Pushes
-from difffric.measurements.quantities import OF_RECORDING, QUANTITIES, decimal
+from difffric.measurements.quantities import OF_RECORDING, QUANTITIES, parse_decimal
 from difffric.measurements.recordings import Channel, Recording, Recordings
 from difffric.rig.rig import spring_damper_rig
 
@@ -104,7 +104,7 @@ def test_plain_numbers_are_read_together_as_each_is_alone(q, cells):
     for cell, value in zip(cells, together, strict=True):
         short = cell.replace(".", "", 1).isdecimal() and len(cell.replace(".", "", 1)) <= 15
         if not np.isnan(value):
-            assert value == q.to_si(decimal(cell))
+            assert value == q.to_si(parse_decimal(cell))
         else:
             assert not short or cell.startswith(".") or cell.endswith(".")
 
@@ -503,7 +503,7 @@ def test_samples_that_are_not_finite_are_refused_when_they_are_read(bad):
         InputError, match=r"pushes\.tdms: group 'push_01', channel 'force': .* 1234"
     ):
         _ = data[0].force.samples  # type: ignore[union-attr]
-    assert "sample 1234 is" in problems(checked_data, data, RIG)[0]
+    assert "sample 1234 is" in problems(check_data, data, RIG)[0]
 
 
 def test_the_same_group_twice_as_after_a_concatenation_is_refused():
@@ -723,27 +723,27 @@ def test_a_mass_that_contradicts_the_set_up_is_refused_unless_asked_for(kind):
     else:
         pushes = tuple(replace(of(noisy())[0], mass=mass, name="") for mass in masses)
         data = Recordings(pushes)
-    (line,) = problems(checked_data, data, RIG)
+    (line,) = problems(check_data, data, RIG)
     assert "push 3 of 4: mass 19.1 kg, the set-up's is 18.9 kg" in line
     assert "--use-data-mass" in line
-    taken = checked_data(data, RIG, use_data_mass=True)
+    taken = check_data(data, RIG, use_data_mass=True)
     mine = taken.mass if isinstance(taken, Pushes) else [push.mass for push in taken]
     assert np.array_equal(mine, masses, equal_nan=True)
-    kept = checked_data(data, RIG, skip_bad=True)
+    kept = check_data(data, RIG, skip_bad=True)
     assert len(kept) == 3 and kept.skipped == (line,)
 
 
 def test_volts_become_newtons_by_the_sensors_sensitivity():
-    (push,) = checked_data(of(noisy() * 11.2e-3, unit="V"), RIG)
+    (push,) = check_data(of(noisy() * 11.2e-3, unit="V"), RIG)
     assert push.force is not None and push.force.unit == "N"
     assert push.force.samples == pytest.approx(noisy(), rel=1e-15)
 
 
 def test_data_that_fit_the_rig_are_themselves():
     data = of(noisy())
-    assert len(checked_data(data, RIG)) == 1
+    assert len(check_data(data, RIG)) == 1
     table = Pushes(np.array([0.05]), np.array([30.0]))
-    assert checked_data(table, RIG) is table
+    assert check_data(table, RIG) is table
 
 
 @pytest.mark.parametrize("chunk", [7, 100, 1 << 20])
@@ -754,10 +754,10 @@ def test_a_saturated_force_is_refused_with_its_level(monkeypatch, chunk, sign, l
     monkeypatch.setattr(Channel, "chunks", lambda self: whole(self, chunk))
     strong = noisy() * (3.0 if level > 400 else 1.0)
     data = of(noisy(1), sign * np.minimum(strong, level))
-    (line,) = problems(checked_data, data, RIG)
+    (line,) = problems(check_data, data, RIG)
     assert f"group 'push_02': force saturated at {level:g} N" in line
-    assert [push.name for push in checked_data(data, RIG, skip_bad=True)] == ["push_01"]
-    assert len(checked_data(data, RIG, keep_saturated=True)) == 2
+    assert [push.name for push in check_data(data, RIG, skip_bad=True)] == ["push_01"]
+    assert len(check_data(data, RIG, keep_saturated=True)) == 2
 
 
 @pytest.mark.parametrize(
@@ -772,7 +772,7 @@ def test_a_saturated_force_is_refused_with_its_level(monkeypatch, chunk, sign, l
     ids=["noisy", "smooth", "coarse and smooth", "coarse and noisy", "zero"],
 )
 def test_a_force_that_is_not_saturated_is_not_refused(harmless):
-    assert len(checked_data(of(harmless), RIG)) == 1
+    assert len(check_data(of(harmless), RIG)) == 1
 
 
 def test_quantised_coloured_noise_is_not_taken_for_saturation():
@@ -781,12 +781,12 @@ def test_quantised_coloured_noise_is_not_taken_for_saturation():
         noise = np.zeros(N)
         for i, kick in enumerate(rng.normal(0, 0.22, N)):
             noise[i] = 0.9 * noise[i - 1] + kick
-        checked_data(of(np.round((PEAK + noise) / 0.22) * 0.22), RIG)
+        check_data(of(np.round((PEAK + noise) / 0.22) * 0.22), RIG)
 
 
 def test_nothing_left_is_refused_even_where_skipping():
     data = of(noisy(), mass=1.0)
-    assert "expected within 1 %" in problems(checked_data, data, RIG, skip_bad=True)[0]
+    assert "expected within 1 %" in problems(check_data, data, RIG, skip_bad=True)[0]
 
 
 def test_a_stream_of_bytes_is_not_a_path():

@@ -12,18 +12,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
+from statsmodels.stats.diagnostic import acorr_ljungbox
+from statsmodels.tsa.stattools import acf
 
 from difffric.errors import InputError
 from difffric.measurements.noise import (
     Noise,
-    lag_one,
-    ljung_box,
-    noise_of,
-    pooled_noise,
-    quiet_noise,
-    still_at_end,
-    whiten,
-    whitening,
+    count_still,
+    estimate_noise,
+    estimate_quiet_noise,
+    make_whitening,
+    pool_noise,
 )
 from difffric.measurements.recordings import Channel, Recording, Recordings
 from difffric.measurements.reduction.local_polynomials import (
@@ -95,15 +94,16 @@ def correlations(index, phi):
 def test_whitening_is_exact_across_gaps(phi, kept):
     """W R W' = I for the covariance R of any choice of samples."""
     index = np.array(sorted(kept))
-    w = whitening(index, Noise(2.0, phi))(np.eye(len(index)))
+    w = make_whitening(index, Noise(2.0, phi))(np.eye(len(index)))
     covariance = w @ (4.0 * correlations(index, phi)) @ w.T
     np.testing.assert_allclose(covariance, np.eye(len(index)), atol=1e-9)
 
 
 def test_whitening_takes_each_series_for_itself():
     noise, r = Noise(0.3, 0.7), np.arange(6.0) + 1
-    both = whiten(r, [4, 5, 7, 0, 1, 2], noise)
-    alone = np.r_[whiten(r[:3], [4, 5, 7], noise), whiten(r[3:], [0, 1, 2], noise)]
+    both = make_whitening([4, 5, 7, 0, 1, 2], noise)(r)
+    parts = ([4, 5, 7], r[:3]), ([0, 1, 2], r[3:])
+    alone = np.concatenate([make_whitening(index, noise)(part) for index, part in parts])
     np.testing.assert_allclose(both, alone)
 
 
@@ -113,8 +113,8 @@ def test_noise_of_means_and_of_decimated_samples(phi, n):
     full = 1.5**2 * correlations(np.arange(2 * n), phi)
     variance, neighbours = ones @ full[:n, :n] @ ones, ones @ full[:n, n:] @ ones
     assert noise.effective(n) == pytest.approx(1.5**2 / variance)
-    assert noise.averaged(n).level == pytest.approx(np.sqrt(variance))
-    assert noise.averaged(n).correlation == pytest.approx(neighbours / variance, abs=1e-12)
+    assert noise.average(n).level == pytest.approx(np.sqrt(variance))
+    assert noise.average(n).correlation == pytest.approx(neighbours / variance, abs=1e-12)
     if phi >= 0:
         assert noise.at(n).correlation == pytest.approx(phi**n)
 
@@ -122,7 +122,7 @@ def test_noise_of_means_and_of_decimated_samples(phi, n):
 @pytest.mark.parametrize("phi", [0.0, 0.5, 0.9])
 def test_level_and_correlation_are_unbiased_in_short_stretches(phi):
     rng = np.random.default_rng(3)
-    found = [noise_of(3.0 + 0.5 * ar1(rng, 200, phi) for _ in range(14)) for _ in range(100)]
+    found = [estimate_noise(3.0 + 0.5 * ar1(rng, 200, phi) for _ in range(14)) for _ in range(100)]
     for values, truth in (
         (np.array([f.level**2 for f in found]), 0.25),
         (np.array([f.correlation for f in found]), phi),
@@ -133,32 +133,36 @@ def test_level_and_correlation_are_unbiased_in_short_stretches(phi):
 
 def test_white_after_whitening_and_not_before():
     raw = ar1(np.random.default_rng(5), 3000, 0.6)
-    white = whiten(raw, np.arange(3000), Noise(1.0, 0.6))
-    assert ljung_box(raw) < 1e-9 and lag_one(raw) > 20
-    assert ljung_box(white) > 0.01 and abs(lag_one(white)) < 3
+    white = make_whitening(np.arange(3000), Noise(1.0, 0.6))(raw)
+    p_raw, p_white = (
+        float(acorr_ljungbox(r, lags=[10])["lb_pvalue"].iloc[0]) for r in (raw, white)
+    )
+    z_raw, z_white = (float(acf(r, nlags=1)[1]) * np.sqrt(len(r)) for r in (raw, white))
+    assert p_raw < 1e-9 and z_raw > 20
+    assert p_white > 0.01 and abs(z_white) < 3
 
 
 def test_no_noise_and_rounding():
     """A resting probe shows no noise; its resolution bounds it from below."""
     t = np.arange(400)
     position = np.round(np.where(t < 200, 0.0, 3.3e-8 * (t - 200)) / 2e-8) * 2e-8
-    noise = quiet_noise(Channel.of(position, 1e-4, -0.02, "m"))
+    noise = estimate_quiet_noise(Channel.of(position, 1e-4, -0.02, "m"))
     assert noise.level == pytest.approx(2e-8 / np.sqrt(12), rel=1e-6)
     with pytest.raises(InputError, match="expected 16"):
-        noise_of([np.zeros(4)])
+        estimate_noise([np.zeros(4)])
 
 
 def test_without_quiet_time_differences_say_the_level():
     moving = record(2500, seed=1)
     assert moving.force is not None
-    noise = quiet_noise(cut(moving.force, 0.001))
+    noise = estimate_quiet_noise(cut(moving.force, 0.001))
     assert noise.n == 0 and noise.level == pytest.approx(LEVEL_N, rel=0.15)
 
 
 def test_rest_is_found_to_the_sample_or_so():
     y = np.r_[-0.5 * np.linspace(10, 0, 100) ** 2, np.zeros(300)]
     y = y + 0.1 * np.random.default_rng(2).standard_normal(400)
-    assert 290 <= still_at_end(y, Noise(0.1)) <= 330
+    assert 290 <= count_still(y, Noise(0.1)) <= 330
 
 
 # ---- F_p and d
@@ -404,7 +408,7 @@ def test_volts_are_refused():
     push = record(2500)
     assert push.force is not None
     with pytest.raises(InputError, match="force is in V, expected N"):
-        reduce_push(replace(push, force=push.force.scaled(0.01, "V")))
+        reduce_push(replace(push, force=push.force.scale(0.01, "V")))
 
 
 def test_samples_that_are_no_numbers_are_refused():
@@ -476,7 +480,7 @@ def practice(name) -> tuple[Recordings, dict]:
 def test_practice_data(name):
     recordings, truth = practice(name)
     offset = truth["effects"].get("force_offset.offset_N", 0.0)
-    assert pooled_noise(recordings, "force").level == pytest.approx(0.5, rel=0.05)
+    assert pool_noise(recordings, "force").level == pytest.approx(0.5, rel=0.05)
     reduction = reduce_recordings(recordings)
     table = reduction.pushes
     F_p = np.array([p["peak_contact_force_N"] for p in truth["pushes"]]) + offset
