@@ -20,8 +20,6 @@ from difffric.commands.reports.identify import summarise_conditions
 from difffric.identification.estimates import NONE, Estimate, Identified, PushFriction
 from difffric.measurements.files.tdms_writer import write_recordings
 from difffric.measurements.recordings import Channel
-from difffric.number_text import format_pair
-from difffric.output_folder import check_writable
 from difffric.rig import parameters
 from difffric.rig.setup import Extras, Setup
 from difffric.rig.setup_toml import read_setup
@@ -358,22 +356,6 @@ def test_the_shared_error_of_free_slides_is_their_mean_s_shift_with_viscosity():
         assert of["standard_error"] > of["calibration_standard_error"] > 0
 
 
-@pytest.mark.parametrize(
-    ("value", "error", "shown"),
-    [
-        (0.141234, 0.00106, ("0.1412", "0.0011")),
-        (819996.18, 21.4, ("819996", "21")),
-        (819996.18, 1570.2, ("819996", "1570")),
-        (3.2, None, ("3.2", "–")),
-        (3.2, float("nan"), ("3.2", "–")),
-        (None, 1.0, ("–", "–")),
-        (float("nan"), 1.0, ("–", "–")),
-    ],
-)
-def test_numbers_are_shown_to_two_digits_of_their_error(value, error, shown):
-    assert format_pair(value, error) == shown
-
-
 # Bad input: one line, exit status 2, nothing left behind
 
 
@@ -467,11 +449,6 @@ def test_a_fit_does_not_replace_the_set_up_it_starts_from(run, tmp_path):
     done = run("fit", CSV, "--setup", setup, "--out", tmp_path)
     assert done.code == 2 and "another folder" in done.err
     assert setup.read_text() == SETUP.read_text() and len(list(tmp_path.iterdir())) == 1
-
-
-def test_checking_a_folder_makes_none(tmp_path):
-    assert check_writable(tmp_path / "a" / "b") == tmp_path / "a" / "b"
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_what_is_skipped_is_counted_and_told(run, tmp_path):

@@ -10,8 +10,7 @@ import pytest
 import difffric as df
 from difffric.commands.reports.page import write_folder
 from difffric.commands.reports.paper import report_paper
-from difffric.identification.surrogates import PUBLISHED_DISTANCE, PUBLISHED_FORCE, weighted
-from difffric.output_folder import to_json_types
+from difffric.identification.surrogates import PUBLISHED_DISTANCE, PUBLISHED_FORCE, weigh_by_ranges
 from difffric.simulation.families import family
 from difffric.studies import paper
 from difffric.units import from_mm_min
@@ -56,7 +55,7 @@ def test_the_surrogates_invert_themselves():
 
 
 def test_weights_stay_between_0_and_1_because_magnitudes_are_meant():
-    value, w_F, w_d = weighted(0.14, 0.13, 146.0, -0.03, 4e4)
+    value, w_F, w_d = weigh_by_ranges(0.14, 0.13, 146.0, -0.03, 4e4)
     assert 0 < w_F < 1 and w_F + w_d == 1 and 0.13 < value < 0.14
 
 
@@ -71,17 +70,17 @@ def test_equation_3_is_what_the_spring_and_damper_give():
 def test_the_fits_find_a_family_that_is_one_of_theirs():
     grid = family(paper.guess_rig())
     v, mu = np.meshgrid(grid.velocity, grid.mu_s, indexing="ij")
-    force = type(PUBLISHED_FORCE).fitted(v, mu, PUBLISHED_FORCE.peak_force(v, mu))
+    force = type(PUBLISHED_FORCE).fit(v, mu, PUBLISHED_FORCE.peak_force(v, mu))
     assert vars(force) == pytest.approx(vars(PUBLISHED_FORCE), rel=1e-9)
     other = type(PUBLISHED_DISTANCE)(mu_0=0.40, C_1=0.0008, k1=1.8, C_2=0.05, k2=1.7)
     d = other.sliding_distance(v, mu)
     d[0, :3] = np.nan
-    assert vars(type(other).fitted(v, mu, d)) == pytest.approx(vars(other), rel=1e-4)
+    assert vars(type(other).fit(v, mu, d)) == pytest.approx(vars(other), rel=1e-4)
 
 
 def test_no_fit_without_points():
     with pytest.raises(df.NumericalError, match="4 pushes that slide"):
-        type(PUBLISHED_DISTANCE).fitted(np.full(4, 0.05), np.full(4, 0.1), np.full(4, 1e-3))
+        type(PUBLISHED_DISTANCE).fit(np.full(4, 0.05), np.full(4, 0.1), np.full(4, 1e-3))
 
 
 def test_four_measured_distances_are_beyond_any_k_b_and_k_v(study):
@@ -156,8 +155,3 @@ def test_from_the_distance_the_model_beats_the_paper_where_it_can_reach(study):
     ours = np.array([abs(r["mu_s_model"] / r["mu_s_gauge"] - 1) for r in rows])
     theirs = np.array([abs(r["error_percent_printed"]) / 100 for r in rows])
     assert ours.max() < 0.06 and ours.mean() < 0.3 * theirs.mean()
-
-
-def test_numbers_that_do_not_exist_are_null():
-    given = {"a": np.nan, "b": [np.inf, 1], "c": np.float64(2), "d": None, "e": np.bool_(True)}
-    assert to_json_types(given) == {"a": None, "b": [None, 1], "c": 2.0, "d": None, "e": True}
