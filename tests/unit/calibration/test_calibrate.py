@@ -8,25 +8,20 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
-import lineax as lx
 import numpy as np
 import pytest
 
 import difffric as df
 from difffric.compute import pytrees
-from difffric.compute.levenberg_marquardt import ArrowSolver
-from difffric.estimation import coordinates, restricted_likelihood
-from difffric.estimation.mixed_model import FitPoint
+from difffric.estimation import coordinates
 from difffric.estimation.residuals import Grid, TracePush
 from difffric.estimation.stacked_data import table_data
-from difffric.identification.free_slide import invert_slides
 from difffric.measurements.recordings import Channel, Recording, Recordings
 from difffric.rig import parameters
 from difffric.rig.sensors import ForceSensor
 from difffric.rig.setup import Extras, Setup
 from difffric.simulation.closed_form import ClosedForm
 from tests.reference import data as reference
-from tests.reference.traces import slide
 
 PRACTICE = Path(__file__).parents[3] / ".." / "shared" / "data" / "practice"
 TRUE = reference.Rig(
@@ -236,15 +231,6 @@ def test_free_slides_give_mu_s_and_its_scatter():
     assert np.abs(z).max() < 4.5 and np.std(z) < 1.5
 
 
-@pytest.mark.parametrize("k_v", [0.0, 3.0, 60.0])
-def test_a_slide_is_inverted_exactly(k_v):
-    v, mu = np.array([0.02, 0.1, 0.6]), np.array([0.05, 0.15, 0.4])
-    d = np.array([slide(18.9, m, 0.75, k_v, u) for m, u in zip(mu, v, strict=True)])
-    rigs = pytrees.replicate(df.spring_damper_rig(mass=18.9, mu_s=0.1, k=8e5, b=1500.0, k_v=k_v), 3)
-    found, _ = invert_slides(rigs, v, d)
-    np.testing.assert_allclose(found, mu, rtol=1e-9)
-
-
 def test_every_way_to_mu_s_agrees_with_its_error_bar(fit_of_recordings, white, pushes):
     answer = df.identify(fit_of_recordings, white)
     true = np.array([p.mu_s for p in pushes])
@@ -268,66 +254,6 @@ def test_the_clean_practice_set_within_three_standard_errors():
 
 
 # The parts.
-
-
-def test_the_criterion_is_the_restricted_likelihood_of_the_dense_model():
-    """-2 log L_R = log|V| + log|X' V^-1 X| + r' P r with V = R + s^2 Z Z'."""
-    rng = np.random.default_rng(1)
-    n, P = 6, 2
-    J = rng.normal(size=(n, 2, 4))
-    selection = np.zeros((n, 4, P))
-    selection[:, 0, 0] = selection[:, 2, 1] = 1.0
-    r, s_eta, group = rng.normal(size=(n, 2)), rng.normal(size=n), np.tile([0, -1], (n, 1))
-    rows, weights = np.concatenate([J, r[..., None]], axis=2), np.tile([1.0, 2.0], (n, 1))
-    linear = restricted_likelihood.linearise(
-        rows, weights, group, [n], [1e-6], selection, np.zeros((3, 3)), s_eta, False
-    )
-    s, spread = 0.3, 0.7
-    found, X, Xr, rr = linear.evaluate(s, np.array([spread]))
-    sd = np.tile([spread, 0.5], n)
-    Z = np.zeros((2 * n, n))
-    for i in range(n):
-        Z[2 * i : 2 * i + 2, i] = J[i, :, 0]
-    V = np.diag(sd**2) + s**2 * Z @ Z.T
-    design = (J @ selection).reshape(2 * n, P)
-    y = r.ravel() - Z @ s_eta
-    inverse = np.linalg.inv(V)
-    information = design.T @ inverse @ design
-    fitted = design.T @ inverse @ y
-    expected = (
-        np.linalg.slogdet(V)[1]
-        - n * np.log(0.25)  # of the known rows: a constant that is left out
-        + np.linalg.slogdet(information)[1]
-        + y @ inverse @ y
-        - fitted @ np.linalg.solve(information, fitted)
-    )
-    assert found == pytest.approx(expected, rel=1e-10)
-    np.testing.assert_allclose(X, information, rtol=1e-10)
-    np.testing.assert_allclose(Xr, fitted, rtol=1e-10)
-    assert rr == pytest.approx(y @ inverse @ y, rel=1e-10)
-
-
-@pytest.mark.parametrize("starts", [0, 5])
-def test_the_arrow_is_solved_as_the_dense_matrix(starts):
-    rng = np.random.default_rng(2)
-    n, P, m = 5, 3, 4
-    A, z, t = rng.normal(size=(n, m, P)), rng.normal(size=(n, m)), rng.normal(size=(n, m))
-
-    def apply(x):
-        rows = jnp.einsum("nmp,p->nm", A, x.theta) + z * x.eta[:, None]
-        if starts:
-            rows = rows + t * x.start[:, None]
-        damped = jax.tree.map(lambda part: 0.1 * part, x)
-        return (rows, x.eta, 2.0 * x.theta), damped
-
-    x = FitPoint(jnp.zeros(P), jnp.zeros(n), jnp.zeros(starts))
-    operator = lx.FunctionLinearOperator(apply, jax.eval_shape(lambda: x))
-    shape = jax.eval_shape(apply, x)
-    b = jax.tree.map(lambda part: jnp.asarray(rng.normal(size=part.shape)), shape)
-    found = lx.linear_solve(operator, b, ArrowSolver()).value
-    expected = lx.linear_solve(operator, b, lx.QR()).value
-    for mine, theirs in zip(found, expected, strict=True):
-        np.testing.assert_allclose(mine, theirs, rtol=1e-9, atol=1e-12)
 
 
 def test_the_rows_of_a_table_are_measured_minus_model_and_its_derivatives(table):
@@ -380,7 +306,7 @@ def test_the_triangle_of_a_recording_keeps_its_normal_equations(monkeypatch):
     assert np.abs(rows[K + 1 :, -1]).max() < 2e-9 * np.sqrt(len(t))  # m
     kept = {}
     monkeypatch.setattr(
-        residuals, "_triangle", lambda J, r: kept.setdefault(len(kept), jnp.column_stack([J, r]))
+        residuals, "_factorise", lambda J, r: kept.setdefault(len(kept), jnp.column_stack([J, r]))
     )
     push.respond(rig, ClosedForm(), c)
     for i, whole in kept.items():
