@@ -43,8 +43,9 @@ def draw_strokes(recordings: Sequence[Recording]) -> Figure:
             t = t - push.force.start + begin
             speed = f"{to_mm_min(push.velocity):g} mm/min"
             label = f"{push.name}, {speed}: at most {format_number(float(force.max()), 4)} "
-            ax.plot(1e3 * t, force, color=(_BLUE, _RED)[i % 2], lw=0.8,
-                    label=label + push.force.unit)  # fmt: skip
+            ax.plot(
+                1e3 * t, force, color=(_BLUE, _RED)[i % 2], lw=0.8, label=label + push.force.unit
+            )
             begin += push.force.n * push.force.dt
             if i + 1 < len(recordings):
                 ax.axvline(1e3 * begin, color="0.6", ls=":", lw=1)
@@ -68,8 +69,13 @@ def draw_live(figure: Figure, pushes: Sequence[LivePush | None], last: Recording
         newest = pushes[-1] if pushes else None
         if newest and newest.reduced and not np.isnan(newest.reduced.peak_force):
             seen = newest.reduced
-            left.plot(1e3 * seen.peak_time, seen.peak_force, "v", color=_RED,
-                      label=f"$F_p$ = {seen.peak_force:.1f} N")  # fmt: skip
+            left.plot(
+                1e3 * seen.peak_time,
+                seen.peak_force,
+                "v",
+                color=_RED,
+                label=f"$F_p$ = {seen.peak_force:.1f} N",
+            )
             if not np.isnan(seen.sliding_distance):
                 label = f"released; d = {to_um(seen.sliding_distance):.0f} µm"
                 left.axvline(1e3 * seen.release_time, color=_RED, ls=":", lw=1, label=label)
@@ -85,8 +91,16 @@ def draw_live(figure: Figure, pushes: Sequence[LivePush | None], last: Recording
                 n, value = [n for n, _ in found], [x.value for _, x in found]
                 error = [x.standard_error or 0.0 for _, x in found]
                 x = np.array(n) + 0.12 * (i - 1)
-                right.errorbar(x, value, error, fmt="os*"[i], ms=3 + 3 * (i == 2), lw=1,
-                               color=("0.6", "#5b7f3b", _BLUE)[i], label=name)  # fmt: skip
+                right.errorbar(
+                    x,
+                    value,
+                    error,
+                    fmt="os*"[i],
+                    ms=3 + 3 * (i == 2),
+                    lw=1,
+                    color=("0.6", "#5b7f3b", _BLUE)[i],
+                    label=name,
+                )
         right.set(xlabel="push", ylabel="$\\mu_s$", xlim=(0.5, max(len(pushes), 1) + 0.5))
         right.xaxis.get_major_locator().set_params(integer=True)
         if right.get_legend_handles_labels()[0]:

@@ -33,9 +33,13 @@ def draw_misfit(found: Diagnosis) -> Figure:
                 if label != "plain model" and not found.causes:
                     continue
                 ax.plot(
-                    x + shift, (chi2[:, k] / counts[:, k])[order], "o", ms=4, color=colour,
+                    x + shift,
+                    (chi2[:, k] / counts[:, k])[order],
+                    "o",
+                    ms=4,
+                    color=colour,
                     label=label,
-                )  # fmt: skip
+                )
             ax.axhline(1.0, color="0.5", lw=1, ls=":")
             ax.set(yscale="log", title=name, xlabel="push, by speed [mm/min]")
             ax.set_xticks(x[:: max(1, len(x) // 7)])
@@ -129,7 +133,10 @@ def draw_location(found: Location) -> Figure:
         axes[1].axhline(0.0, color="0.5", lw=0.8)
         room = 0.3 * np.ptp(y) + 1e-9
         axes[1].set(
-            xlabel=f"{found.quantity} [{unit}]", ylabel="correction [%]", xlim=(0, x[-1]),
-            ylim=(y.min() - room, y.max() + room), title=found.form.replace("_", " "),
-        )  # fmt: skip
+            xlabel=f"{found.quantity} [{unit}]",
+            ylabel="correction [%]",
+            xlim=(0, x[-1]),
+            ylim=(y.min() - room, y.max() + room),
+            title=found.form.replace("_", " "),
+        )
     return figure

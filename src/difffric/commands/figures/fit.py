@@ -46,18 +46,30 @@ def draw_pushes(fit: Fit, beside: PushComparison) -> Figure:
     slides = fit.kind == "slides"
     with matplotlib.rc_context(STYLE):
         figure, axes = make_figure(
-            len(panels), 5.2 * len(panels), 5.6, rows=2, sharex="col", squeeze=False,
+            len(panels),
+            5.2 * len(panels),
+            5.6,
+            rows=2,
+            sharex="col",
+            squeeze=False,
             height_ratios=(3, 1.3),
-        )  # fmt: skip
+        )
         for condition, mine, colour, marker in _groups(fit.conditions):
             curves = simulate_condition(fit, condition, speeds)
             for ax, j in zip(axes[0], panels, strict=True):
                 name = condition or "measured"
                 ax.errorbar(
-                    v[mine], scale[j] * beside.measured[j, mine],
-                    scale[j] * np.nan_to_num(beside.standard_error[j, mine]), fmt=marker,
-                    color=colour, ms=5, mfc="none", lw=1, capsize=2, label=name,
-                )  # fmt: skip
+                    v[mine],
+                    scale[j] * beside.measured[j, mine],
+                    scale[j] * np.nan_to_num(beside.standard_error[j, mine]),
+                    fmt=marker,
+                    color=colour,
+                    ms=5,
+                    mfc="none",
+                    lw=1,
+                    capsize=2,
+                    label=name,
+                )
                 if curves is None:
                     model = scale[j] * beside.model[j, mine]
                     ax.plot(v[mine], model, "+", color="#222", ms=7, mew=1)
@@ -98,9 +110,17 @@ def draw_own_friction(fit: Fit, order: NDArray) -> Figure:
             if label in fit.free:
                 _scatter_band(ax, order[mine], fit.value(label), fit.scatter, colour)
             ax.errorbar(
-                order[mine], fit.mu_s[mine], fit.mu_s_se[mine], fmt=marker, color=colour, ms=5,
-                mfc="none", lw=1, capsize=2, label=condition or "each push",
-            )  # fmt: skip
+                order[mine],
+                fit.mu_s[mine],
+                fit.mu_s_se[mine],
+                fmt=marker,
+                color=colour,
+                ms=5,
+                mfc="none",
+                lw=1,
+                capsize=2,
+                label=condition or "each push",
+            )
         ax.plot([], [], color="#666", lw=6, alpha=0.3, label="mean ± scatter")
         ax.set_xlabel("order of the pushes")
         ax.set_ylabel(r"$\mu_s$ of each push")
@@ -125,9 +145,13 @@ def draw_traces(shown: Mapping[str, Mapping[str, TraceComparison]]) -> Figure:
     scale = {"force": 1.0, "position": to_um(1.0)}
     with matplotlib.rc_context(STYLE):
         figure, axes = make_figure(
-            len(shown), 3.3 * len(shown) + 0.6, 3.5 * len(kinds), rows=2 * len(kinds),
-            squeeze=False, height_ratios=(2.6, 1.2) * len(kinds),
-        )  # fmt: skip
+            len(shown),
+            3.3 * len(shown) + 0.6,
+            3.5 * len(kinds),
+            rows=2 * len(kinds),
+            squeeze=False,
+            height_ratios=(2.6, 1.2) * len(kinds),
+        )
         for column, (title, channels) in enumerate(shown.items()):
             axes[0, column].set_title(title, fontsize=10)
             for row, kind in enumerate(kinds):
@@ -155,9 +179,15 @@ def _trace(top, bottom, trace: TraceComparison, scale: float, force: bool) -> No
     seen = (trace.t >= first) & (trace.t <= last)
     size = 4.0 if seen.sum() < 600 else 2.0
     top.plot(
-        t[seen], scale * trace.measured[seen], "o", color="#1f6f8b", alpha=0.6, ms=size, mew=0,
+        t[seen],
+        scale * trace.measured[seen],
+        "o",
+        color="#1f6f8b",
+        alpha=0.6,
+        ms=size,
+        mew=0,
         label="measured",
-    )  # fmt: skip
+    )
     top.plot(t[seen], scale * trace.model[seen], color="#b4532a", lw=0.8, label="model")
     bottom.axhspan(-2, 2, color="#999", alpha=0.15, lw=0)
     bottom.plot(t[seen], trace.residual[seen], ".", color="#1f6f8b", ms=2, mew=0)
@@ -180,8 +210,15 @@ def draw_correlations(fit: Fit) -> Figure:
             for j in range(n):
                 if i != j:
                     dark = abs(correlation[i, j]) > 0.6
-                    ax.text(j, i, f"{correlation[i, j]:+.2f}", ha="center", va="center",
-                            fontsize=9, color="white" if dark else "#222")  # fmt: skip
+                    ax.text(
+                        j,
+                        i,
+                        f"{correlation[i, j]:+.2f}",
+                        ha="center",
+                        va="center",
+                        fontsize=9,
+                        color="white" if dark else "#222",
+                    )
         short = [_symbol(x) for x in fit.free]
         ax.set_xticks(range(n), short)
         ax.set_yticks(range(n), short)
@@ -245,8 +282,17 @@ def _profile(ax, one: Profile, sigma: float | None) -> None:
             sides = (low if lower is None else lower, high if upper is None else upper)
             ax.axvspan(*sides, color="#b4532a", alpha=0.08, lw=0)
         if upper is not None:
-            ax.text(upper, 0.98, f"{100 * level:.4g} %", rotation=90, fontsize=7, ha="right",
-                    va="top", color="#b4532a", transform=ax.get_xaxis_transform())  # fmt: skip
+            ax.text(
+                upper,
+                0.98,
+                f"{100 * level:.4g} %",
+                rotation=90,
+                fontsize=7,
+                ha="right",
+                va="top",
+                color="#b4532a",
+                transform=ax.get_xaxis_transform(),
+            )
     ax.axvline(one.value, color="#333", lw=0.8)
     near = curve[(curve[:, 0] >= low) & (curve[:, 0] <= high), 1]
     ax.set_ylim(0, float(np.clip(1.3 * near.max(initial=0.0), 2.0, 18.0)))
@@ -264,9 +310,14 @@ def draw_identified(found: Identified, velocity: NDArray) -> Figure:
         columns = 2 if len(ways) == 4 else min(len(ways), 3)
         rows = -(-len(ways) // columns)
         figure, axes = make_figure(
-            columns, 3.5 * columns + 0.6, 3.0 * rows, rows=rows, squeeze=False, sharey=True,
+            columns,
+            3.5 * columns + 0.6,
+            3.0 * rows,
+            rows=rows,
+            squeeze=False,
+            sharey=True,
             sharex=True,
-        )  # fmt: skip
+        )
         conditions = [p.condition for p in found]
         for condition, mine, colour, marker in _groups(conditions):
             for ax, way in zip(axes.flat, ways, strict=False):
@@ -274,9 +325,17 @@ def draw_identified(found: Identified, velocity: NDArray) -> Figure:
                     ax.axhline(np.nanmean(best[mine]), color=colour, lw=0.8, ls=":")
                 error = np.nan_to_num(found.standard_errors(way)[mine])
                 ax.errorbar(
-                    v[mine], found.values(way)[mine], error, fmt=marker, color=colour, ms=5,
-                    mfc="none", lw=1, capsize=2, label=condition or "each push",
-                )  # fmt: skip
+                    v[mine],
+                    found.values(way)[mine],
+                    error,
+                    fmt=marker,
+                    color=colour,
+                    ms=5,
+                    mfc="none",
+                    lw=1,
+                    capsize=2,
+                    label=condition or "each push",
+                )
         for ax, way in zip(axes.flat, ways, strict=False):
             ax.set_title(_TITLES[way], fontsize=10)
         known = np.concatenate([found.values(way) for way in ways])
@@ -309,9 +368,17 @@ def draw_best_estimates(found: Identified, order: NDArray, summary: Mapping[str,
             if of is not None and of["mean"] is not None:
                 _scatter_band(ax, order[mine], of["mean"], of["spread"] or 0.0, colour)
             ax.errorbar(
-                order[mine], value[mine], error[mine], fmt=marker, color=colour, ms=5, mfc="none",
-                lw=1, capsize=2, label=condition or "each push",
-            )  # fmt: skip
+                order[mine],
+                value[mine],
+                error[mine],
+                fmt=marker,
+                color=colour,
+                ms=5,
+                mfc="none",
+                lw=1,
+                capsize=2,
+                label=condition or "each push",
+            )
         ax.plot([], [], color="#666", lw=6, alpha=0.3, label="mean ± spread")
         ax.set_xlabel("order of the pushes")
         ax.set_ylabel(r"$\mu_s$ of each push")

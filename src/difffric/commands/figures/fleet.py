@@ -37,8 +37,9 @@ def draw_by_date(days: Mapping[str, Sequence[Mapping]]) -> Figure:
         locator = AutoDateLocator(minticks=2)
         ax.xaxis.set_major_locator(locator)
         ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))
-        every = np.concatenate([date2num([date.fromisoformat(r["date"]) for r in rows])
-                                for rows in days.values()])  # fmt: skip
+        every = np.concatenate(
+            [date2num([date.fromisoformat(r["date"]) for r in rows]) for rows in days.values()]
+        )
         ax.set_xlim(every.min() - 0.7, every.max() + 0.7)
         ax.set_ylabel("mu_s, mean of a day")
         ax.legend(fontsize=8, ncols=6, loc="lower center", bbox_to_anchor=(0.5, 1.0))

@@ -42,9 +42,15 @@ def draw_matrix(
             shown = np.ma.masked_invalid(-np.log10(np.maximum(values, 1e-300)))
             ax.set_facecolor(_GREY)
             image = ax.pcolormesh(
-                np.arange(m + 1) - 0.5, np.arange(len(values) + 1) - 0.5, shown, vmin=0,
-                vmax=MOST, cmap=_EVIDENCE, edgecolors="#ececec", linewidth=0.8,
-            )  # fmt: skip
+                np.arange(m + 1) - 0.5,
+                np.arange(len(values) + 1) - 0.5,
+                shown,
+                vmin=0,
+                vmax=MOST,
+                cmap=_EVIDENCE,
+                edgecolors="#ececec",
+                linewidth=0.8,
+            )
             ax.set_ylim(len(values) - 0.5, -0.5)
             ax.tick_params(length=0)
             for side in ax.spines.values():
@@ -67,11 +73,17 @@ def draw_matrix(
         for label in lower.get_xticklabels():
             label.set(ha="right", rotation_mode="anchor")
         bar = figure.colorbar(
-            image, ax=[upper, lower], shrink=min(1.0, 2.4 / (top + below)), pad=0.01, aspect=12,
+            image,
+            ax=[upper, lower],
+            shrink=min(1.0, 2.4 / (top + below)),
+            pad=0.01,
+            aspect=12,
             anchor=(0.0, 1.0),
-        )  # fmt: skip
-        bar.set_ticks([0, 2, 4, 6, 8, 10], labels=["1", *(f"$10^{{-{k}}}$" for k in (2, 4, 6, 8)),
-                                                  "$10^{-10}$"])  # fmt: skip
+        )
+        bar.set_ticks(
+            [0, 2, 4, 6, 8, 10],
+            labels=["1", *(f"$10^{{-{k}}}$" for k in (2, 4, 6, 8)), "$10^{-10}$"],
+        )
         bar.set_label("probability that chance\ngives as much", fontsize=9)
         outline: Any = bar.outline  # matplotlib's stubs take it for a function
         outline.set_visible(False)

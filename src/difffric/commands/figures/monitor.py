@@ -42,10 +42,16 @@ def draw_charts(monitor: Monitor) -> Figure:
                 ax.axvline(alarm.push, color=_ALARM, lw=1.2)
                 ax.axvline(alarm.change - 0.5, color=_ALARM, lw=1, ls=":")
             axes[0].annotate(
-                f"alarm {k + 1}", (alarm.push, 1.0), (3, -4), ha="left", va="top",
-                xycoords=("data", "axes fraction"), textcoords="offset points", fontsize=8,
+                f"alarm {k + 1}",
+                (alarm.push, 1.0),
+                (3, -4),
+                ha="left",
+                va="top",
+                xycoords=("data", "axes fraction"),
+                textcoords="offset points",
+                fontsize=8,
                 color=_ALARM,
-            )  # fmt: skip
+            )
         axes[-1].set_xlim(first, last)
         axes[-1].set_xlabel("push")
     return figure
@@ -66,16 +72,31 @@ def _friction(ax, pushes: Sequence[PushRecord]) -> None:
     for marker, (name, mine) in zip(MARKERS * len(parts), parts.items(), strict=False):
         n = np.array([x.number for x in mine])
         colour = colours[name]
-        ax.plot(n, [x.mu_s for x in mine], marker, color=colour, ms=3.5, mfc="none", mew=0.8,
-                label=f"{name} pushes".strip())  # fmt: skip
+        ax.plot(
+            n,
+            [x.mu_s for x in mine],
+            marker,
+            color=colour,
+            ms=3.5,
+            mfc="none",
+            mew=0.8,
+            label=f"{name} pushes".strip(),
+        )
         state, error = (np.array([getattr(x, k) or np.nan for x in mine]) for k in _STATE)
         ax.plot(n, state, color=colour, lw=1.2, label=f"{name} state ± 2 standard errors".strip())
         ax.fill_between(n, state - 2 * error, state + 2 * error, color=colour, alpha=0.2, lw=0)
     lost = [x.number for x in pushes if x.mu_s is None]
     if lost:
         at = np.full(len(lost), 0.02)
-        ax.plot(lost, at, "x", color="#555", ms=5, transform=ax.get_xaxis_transform(),
-                label="not identified")  # fmt: skip
+        ax.plot(
+            lost,
+            at,
+            "x",
+            color="#555",
+            ms=5,
+            transform=ax.get_xaxis_transform(),
+            label="not identified",
+        )
     ax.set_ylabel("mu_s")
     ax.legend(fontsize=8, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
@@ -87,8 +108,15 @@ def _contrast(ax, pushes: Sequence[PushRecord]) -> None:
     mine = [x for x in pushes if x.z[1] is not None]
     ax.axhspan(-2, 2, color="#999", alpha=0.15, lw=0)
     ax.axhline(0, color="#333", lw=0.8)
-    ax.plot([x.number for x in mine], [x.z[1] for x in mine], "o", color=_LINES[2], ms=3,
-            mfc="none", mew=0.8)  # fmt: skip
+    ax.plot(
+        [x.number for x in mine],
+        [x.z[1] for x in mine],
+        "o",
+        color=_LINES[2],
+        ms=3,
+        mfc="none",
+        mew=0.8,
+    )
     ax.set_ylabel("contrast of force\nand distance [σ]")
 
 
@@ -98,8 +126,9 @@ def _evidence(ax, pushes: Sequence[PushRecord]) -> None:
     for k, (name, colour) in enumerate(zip(DIRECTIONS, _LINES, strict=True)):
         parts = [x.log_evidence_by[k] for x in mine]
         share = np.exp([np.nan if x is None else x for x in parts])
-        ax.semilogy(n, share, color=colour, lw=0.9, ls="-" if k % 2 == 0 else "--",
-                    label=_WORDS[name])  # fmt: skip
+        ax.semilogy(
+            n, share, color=colour, lw=0.9, ls="-" if k % 2 == 0 else "--", label=_WORDS[name]
+        )
     ax.semilogy(n, np.exp([x.log_evidence or 0.0 for x in mine]), color="#222", lw=1.1, label="all")
     ax.axhline(1.0, color=_ALARM, lw=1.2, label="threshold")
     ax.set_ylim(1e-4, 1e2)

@@ -33,8 +33,13 @@ def draw_response(trajectories: Mapping[str, Trajectory], what: str) -> Figure:
             colour = COLOURS.get(label, "#1f6f8b")
             name = f"{label}, " if label else ""
             if what == "force":
-                ax.plot(1e3 * t, force, style, color=colour,
-                        label=f"{name}$F_p$ = {float(trajectory.peak_force):.1f} N")  # fmt: skip
+                ax.plot(
+                    1e3 * t,
+                    force,
+                    style,
+                    color=colour,
+                    label=f"{name}$F_p$ = {float(trajectory.peak_force):.1f} N",
+                )
             else:
                 ax.plot(1e3 * t, to_mm(position), style, color=colour, label=label)
         ax.set_xlabel("time [ms]")
@@ -112,15 +117,25 @@ def draw_residuals(paper: Paper) -> Figure:
             for condition in CONDITIONS:
                 mine = np.array([x == condition for x in p.condition])
                 ax.plot(
-                    v[mine], residual[mine], _MARKERS[condition] + "-", color=COLOURS[condition],
-                    lw=0.8, ms=5, label=condition,
-                )  # fmt: skip
+                    v[mine],
+                    residual[mine],
+                    _MARKERS[condition] + "-",
+                    color=COLOURS[condition],
+                    lw=0.8,
+                    ms=5,
+                    label=condition,
+                )
             ax.set_xlabel("pusher speed v [mm/min]")
             ax.set_ylabel(label)
         axes[1].plot(
-            v[impossible], panels[1][0][impossible], "x", color="#c00", ms=11, mew=1.5,
+            v[impossible],
+            panels[1][0][impossible],
+            "x",
+            color="#c00",
+            ms=11,
+            mew=1.5,
             label="above the lossless bound:\nno k, b, $k_v$ can give it",
-        )  # fmt: skip
+        )
         for ax in axes:
             ax.legend(fontsize=8)
     return figure
@@ -148,9 +163,16 @@ def draw_identified(paper: Paper) -> Figure:
                 y = np.array([np.nan if r[key] is None else r[key] for r in mine])
                 se = [r[f"{key}_standard_error"] or np.nan for r in mine]
                 ax.errorbar(
-                    v, y, se, fmt=_MARKERS[condition], color=colour, ms=5, lw=1, mfc="none",
+                    v,
+                    y,
+                    se,
+                    fmt=_MARKERS[condition],
+                    color=colour,
+                    ms=5,
+                    lw=1,
+                    mfc="none",
                     label=f"{condition}, model",
-                )  # fmt: skip
+                )
             ax.set_title(title, fontsize=10)
             ax.set_xlabel("v [mm/min]")
             ax.set_ylim(0, 0.45)

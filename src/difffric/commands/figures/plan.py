@@ -44,9 +44,12 @@ def draw_speeds(found: Plan, known: Known) -> Figure:
     for ax in (top, middle, bottom):
         ax.axvline(to_mm_min(step.velocity), color=_RED, lw=1.2)
     top.annotate(
-        "taken", (to_mm_min(step.velocity), 0.0), xytext=(4, 2), textcoords="offset points",
+        "taken",
+        (to_mm_min(step.velocity), 0.0),
+        xytext=(4, 2),
+        textcoords="offset points",
         color=_RED,
-    )  # fmt: skip
+    )
     return figure
 
 
@@ -72,12 +75,26 @@ def draw_run(centering: Centering, known: Known, truth: NDArray) -> Figure:
         miss = to_um(step.deviations["all"])
         goal = abs(to_um(p.plan.target - step.aim))
         label = "expected, one deviation" if i == 1 else None
-        left.plot([i, i], [max(goal - miss, 0.05), goal + miss], color=_GREY, lw=6, alpha=0.5,
-                  solid_capstyle="butt", label=label)  # fmt: skip
+        left.plot(
+            [i, i],
+            [max(goal - miss, 0.05), goal + miss],
+            color=_GREY,
+            lw=6,
+            alpha=0.5,
+            solid_capstyle="butt",
+            label=label,
+        )
         push = f"{to_mm_min(step.velocity):.0f} mm/min\n{to_um(step.stroke):.0f} µm"
         text = f"{push}\nP {step.probability:.2f}"
-        left.annotate(text, (i - 0.5, 0.97), xycoords=("data", "axes fraction"), ha="center",
-                      va="top", fontsize=8, color="0.3")  # fmt: skip
+        left.annotate(
+            text,
+            (i - 0.5, 0.97),
+            xycoords=("data", "axes fraction"),
+            ha="center",
+            va="top",
+            fontsize=8,
+            color="0.3",
+        )
     left.plot(range(n + 1), true, "s", color=_RED, ms=7, mfc="none", label="truth")
     left.plot(range(n + 1), seen, "o-", color=_BLUE, ms=4, label="as it is known")
     left.set_yscale("symlog", linthresh=2.5, linscale=0.8)
@@ -88,8 +105,15 @@ def draw_run(centering: Centering, known: Known, truth: NDArray) -> Figure:
     left.legend(fontsize=8, loc="lower left")
     mean = [p.known_mu_s for p in pushes]
     at = np.arange(1, n + 1)
-    right.errorbar(at, [m for m, _ in mean], [m * s for m, s in mean], fmt="o", color=_BLUE,
-                   capsize=3, label="mean, one deviation")  # fmt: skip
+    right.errorbar(
+        at,
+        [m for m, _ in mean],
+        [m * s for m, s in mean],
+        fmt="o",
+        color=_BLUE,
+        capsize=3,
+        label="mean, one deviation",
+    )
     own = [(i, p.mu_s) for i, p in enumerate(pushes, 1) if p.mu_s is not None]
     right.plot(*zip(*own, strict=True) if own else ([], []), "x", color=_RED, label="each push")
     right.set_xticks(at)
@@ -109,8 +133,14 @@ def draw_times(ways: Mapping[str, Sequence[float]]) -> Figure:
         t = np.sort(np.asarray(seconds, float))
         done = t[np.isfinite(t)]
         share = np.arange(len(done) + 1) / len(t)
-        ax.step([0.0, *done, last], [*share, share[-1]], where="post", color=colour,
-                lw=2.2 if colour == _BLUE else 1.4, label=name.replace("_", " "))  # fmt: skip
+        ax.step(
+            [0.0, *done, last],
+            [*share, share[-1]],
+            where="post",
+            color=colour,
+            lw=2.2 if colour == _BLUE else 1.4,
+            label=name.replace("_", " "),
+        )
     ax.set_xlim(0, last)
     ax.set_xlabel("time until the loop ends [s]")
     ax.set_ylabel("share of the rings centred")

@@ -8,7 +8,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
 from difffric.commands.figures.style import STYLE
-from difffric.identification.controller.fitting import Exported, readings
+from difffric.identification.controller.fitting import Exported, compute_readings
 from difffric.identification.controller.predictor import BY_DISTANCE, BY_FORCE, DETERMINED, Box
 from difffric.rig.rig import Rig
 from difffric.units import to_mm_min
@@ -28,7 +28,7 @@ def draw_predictor(exported: Exported, rig: Rig) -> Figure:
     v = np.linspace(box.slowest, box.fastest, n)
     mu_s = np.linspace(box.least_mu_s, box.most_mu_s, n)
     both = np.meshgrid(v, mu_s, indexing="ij")
-    seen = readings(rig, *(axis.ravel() for axis in both))
+    seen = compute_readings(rig, *(axis.ravel() for axis in both))
     found = p.predict(both[0].ravel(), seen["force"][0], seen["distance"][0])
     truth = both[1].ravel()
     extent = (to_mm_min(box.slowest), to_mm_min(box.fastest), box.least_mu_s, box.most_mu_s)
@@ -44,17 +44,26 @@ def draw_predictor(exported: Exported, rig: Rig) -> Figure:
             error = np.where(code == DETERMINED, 100 * (value / truth - 1), np.nan)
             ax.set_facecolor("#d9d9d9")
             shown = ax.imshow(
-                error.reshape(n, n).T, origin="lower", extent=extent, aspect="auto",
-                cmap="RdBu_r", vmin=-limit, vmax=limit,
-            )  # fmt: skip
+                error.reshape(n, n).T,
+                origin="lower",
+                extent=extent,
+                aspect="auto",
+                cmap="RdBu_r",
+                vmin=-limit,
+                vmax=limit,
+            )
             ax.set_title(f"{name} (grey: no answer)", fontsize=10)
         figure.colorbar(shown, ax=axes[:2], label="error of $\\mu_s$ [%]", pad=0.01)
         use = BY_FORCE * (found.force == DETERMINED) + BY_DISTANCE * (found.distance == DETERMINED)
         axes[2].imshow(
-            use.reshape(n, n).T, origin="lower", extent=extent, aspect="auto",
+            use.reshape(n, n).T,
+            origin="lower",
+            extent=extent,
+            aspect="auto",
             cmap=ListedColormap([colour for _, colour in _USE.values()]),
-            norm=BoundaryNorm([-0.5, 0.5, 1.5, 2.5, 3.5], 4), interpolation="nearest",
-        )  # fmt: skip
+            norm=BoundaryNorm([-0.5, 0.5, 1.5, 2.5, 3.5], 4),
+            interpolation="nearest",
+        )
         for code, (label, colour) in _USE.items():
             if (use == code).any():
                 axes[2].plot([], [], "s", color=colour, label=label)

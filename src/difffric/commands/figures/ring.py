@@ -33,15 +33,20 @@ def draw_ring(angle: NDArray, radius: NDArray, ring: Ring) -> Figure:
         figure = Figure(figsize=(10.5, 4.8), layout="constrained")
         spec = figure.add_gridspec(2, 2, width_ratios=(1, 1.25))
         polar = figure.add_subplot(spec[:, 0], projection="polar")
-        polar.plot(turn, np.full_like(turn, base), color=_GREY, lw=0.8, ls=":",
-                   label="a ring on the axis")  # fmt: skip
+        polar.plot(
+            turn, np.full_like(turn, base), color=_GREY, lw=0.8, ls=":", label="a ring on the axis"
+        )
         polar.plot(turn, base + fitted, color=_BLUE, lw=1, label="fitted")
         polar.plot(angle[good], base + deviation[good], ".", color="#333", ms=2.5, label="readings")
         if out.any():
             polar.plot(angle[out], base + deviation[out], "x", color=_RED, ms=5, label="outliers")
         end = to_um(ring.offset)
-        polar.annotate("", (ring.direction, end), (0, 0),
-                       arrowprops={"arrowstyle": "->", "color": _RED, "lw": 1.8})  # fmt: skip
+        polar.annotate(
+            "",
+            (ring.direction, end),
+            (0, 0),
+            arrowprops={"arrowstyle": "->", "color": _RED, "lw": 1.8},
+        )
         polar.plot([], [], color=_RED, lw=1.8, label="offset of the centre")
         polar.set_ylim(0, edge if out.any() else base + 1.15 * reach)
         polar.set_yticks([base], [])
@@ -58,8 +63,13 @@ def draw_ring(angle: NDArray, radius: NDArray, ring: Ring) -> Figure:
         degrees = np.degrees(np.angle(np.exp(1j * angle)))
         bound = max(5 * to_um(ring.noise), 1.1 * np.abs(to_um(ring.residuals[good])).max())
         shown = np.clip(to_um(ring.residuals), -bound, bound)
-        left.axhspan(*(to_um(ring.noise) * s for s in (-1, 1)), color=_GREY, alpha=0.2, lw=0,
-                     label=f"noise, {to_um(ring.noise):.2g} µm")  # fmt: skip
+        left.axhspan(
+            *(to_um(ring.noise) * s for s in (-1, 1)),
+            color=_GREY,
+            alpha=0.2,
+            lw=0,
+            label=f"noise, {to_um(ring.noise):.2g} µm",
+        )
         left.plot(degrees[good], shown[good], ".", color="#333", ms=3)
         if out.any():
             label = f"{out.sum()} outliers, at the edge where beyond"
@@ -76,8 +86,14 @@ def _lobes(ax, degrees, good, turn, ring: Ring):
     """Draw the form that the fit found, and the readings less all but the form."""
     form = to_um(evaluate_surface(ring, turn) - evaluate_surface(ring, turn, lobes=False))
     at = np.interp(degrees, np.degrees(turn), form)
-    ax.plot(degrees[good], (at + to_um(ring.residuals))[good], ".", color="#333", ms=2.5,
-            label="readings less offset and radius")  # fmt: skip
+    ax.plot(
+        degrees[good],
+        (at + to_um(ring.residuals))[good],
+        ".",
+        color="#333",
+        ms=2.5,
+        label="readings less offset and radius",
+    )
     ax.plot(np.degrees(turn), form, color=_BLUE, lw=1.2, label="lobes, fitted")
     measured = (at + to_um(ring.residuals))[good]
     span = 1.3 * max(np.abs(measured).max(), to_um(ring.noise))

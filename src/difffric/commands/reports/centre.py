@@ -180,5 +180,6 @@ def _tabulate_ring(r: CenteringRun, known: Known) -> Table:
     return Table(
         f"The first ring: {to_um(float(np.hypot(*r.ring.offset))):.1f} µm off, mu_s "
         f"{r.ring.mu_s:.4f}; left: in truth",
-        columns, rows,
-    )  # fmt: skip
+        columns,
+        rows,
+    )

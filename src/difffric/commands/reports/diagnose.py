@@ -81,8 +81,14 @@ def tabulate_experiments(found: Diagnosis) -> Table:
         ]
         for one in found.experiments
     ]
-    columns = ("tells", "v [mm/min]", "mass [kg]", "stroke [mm]", "rest before [s]",
-               "apart by [s.d.]")  # fmt: skip
+    columns = (
+        "tells",
+        "v [mm/min]",
+        "mass [kg]",
+        "stroke [mm]",
+        "rest before [s]",
+        "apart by [s.d.]",
+    )
     return Table("The push that would tell most", columns, rows)
 
 
@@ -121,12 +127,19 @@ def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
         sections.append(Section("What was considered", tables=(tabulate_considered(found),)))
     if found.certificates:
         rows = [
-            [str(x.push + 1), format_number(to_mm_min(x.velocity_m_per_s)),
-             format_number(to_um(x.sliding_distance_m)), format_number(to_um(x.bound_m))]
+            [
+                str(x.push + 1),
+                format_number(to_mm_min(x.velocity_m_per_s)),
+                format_number(to_um(x.sliding_distance_m)),
+                format_number(to_um(x.bound_m)),
+            ]
             for x in found.certificates
-        ]  # fmt: skip
-        table = Table("Distances that no k, b and k_v give", ("push", "v [mm/min]", "d [µm]",
-                      "at most [µm]"), rows)  # fmt: skip
+        ]
+        table = Table(
+            "Distances that no k, b and k_v give",
+            ("push", "v [mm/min]", "d [µm]", "at most [µm]"),
+            rows,
+        )
         sections.append(Section("Beyond the plain model", tables=(table,)))
     if pictures:
         recordings = found.used_recordings
@@ -134,31 +147,37 @@ def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
         if recordings:
             drawn.append(
                 Picture(
-                    "misfit", "Where the plain model misses, push by push.",
+                    "misfit",
+                    "Where the plain model misses, push by push.",
                     figures.diagnose.draw_misfit(found),
                 )
-            )  # fmt: skip
+            )
         drawn.append(
             Picture(
-                "where", "Squared residuals per number, in units of the noise, over what changes "
-                "(red: plain, blue: with its causes).", figures.diagnose.draw_where(found),
+                "where",
+                "Squared residuals per number, in units of the noise, over what changes "
+                "(red: plain, blue: with its causes).",
+                figures.diagnose.draw_where(found),
             )
-        )  # fmt: skip
+        )
         if recordings:
             drawn.append(
                 Picture(
-                    "residuals", "Residuals of the pushes that the plain model fits worst "
-                    "(red: plain, blue: with its causes).", figures.diagnose.draw_residuals(found),
+                    "residuals",
+                    "Residuals of the pushes that the plain model fits worst "
+                    "(red: plain, blue: with its causes).",
+                    figures.diagnose.draw_residuals(found),
                 )
-            )  # fmt: skip
+            )
         if found.location:
             drawn.append(
                 Picture(
-                    "location", "What each component would explain if it were free to bend, and "
+                    "location",
+                    "What each component would explain if it were free to bend, and "
                     "the correction of the one that explains most.",
                     figures.diagnose.draw_location(found.location),
                 )
-            )  # fmt: skip
+            )
         words = describe_misfits(found.misfit)
         sections.append(
             Section("Where the misfit sits", (words,) if words else (), pictures=tuple(drawn))

@@ -7,7 +7,7 @@ import json
 from difffric.commands import figures
 from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table
 from difffric.estimation.stacked_data import sensor_errors
-from difffric.identification.controller.c_code import golden, source_files, statement
+from difffric.identification.controller.c_code import render_golden, render_source, state_error
 from difffric.identification.controller.fitting import QUANTITIES, Exported
 from difffric.identification.controller.predictor import REASONS
 from difffric.number_text import format_number
@@ -55,8 +55,8 @@ def render_files(exported: Exported, rig: Rig) -> dict[str, bytes]:
     stored = {**describe_predictor(exported, rig), "predictor": exported.predictor.as_dict()}
     return {
         "predictor.json": (json.dumps(to_json_types(stored), allow_nan=False) + "\n").encode(),
-        **source_files(exported, rig, *errors),
-        "golden.csv": golden(exported, rig, *errors),
+        **render_source(exported, rig, *errors),
+        "golden.csv": render_golden(exported, rig, *errors),
     }
 
 
@@ -80,13 +80,18 @@ def report_predictor(exported: Exported, rig: Rig) -> Report:
         for name in (*QUANTITIES, "either")
     ]
     columns = (
-        "from", "bound [%]", "worst tried [%]", "determined [% of box]", "answered [% of box]",
-        "missed [% of box]", "cells",
-    )  # fmt: skip
+        "from",
+        "bound [%]",
+        "worst tried [%]",
+        "determined [% of box]",
+        "answered [% of box]",
+        "missed [% of box]",
+        "cells",
+    )
     table = Table("Error of mu_s, and where there is an answer", columns, rows)
     box = p.box
     summary = [
-        statement(exported),
+        state_error(exported),
         f"Box: {to_mm_min(box.slowest):g} to {to_mm_min(box.fastest):g} mm/min, mu_s "
         f"{box.least_mu_s:g} to {box.most_mu_s:g}. One of F_p and d gives mu_s in "
         f"{format_percent(exported.answered['either'], 4)} % of it.",
@@ -107,9 +112,10 @@ def report_predictor(exported: Exported, rig: Rig) -> Report:
         "gives: those are the readings' alone.",
     ]
     picture = Picture(
-        "predictor", "Error over the box, and which readings are used.",
+        "predictor",
+        "Error over the box, and which readings are used.",
         figures.predictor.draw_predictor(exported, rig),
-    )  # fmt: skip
+    )
     use = [
         "predictor.c and predictor.h: C99, one function. golden.csv: readings and what it must "
         "give: cc -std=c99 -O2 -DDIFFFRIC_SELFTEST predictor.c -o selftest && ./selftest "

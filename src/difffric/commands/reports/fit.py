@@ -229,13 +229,15 @@ def _tabulate_pushes(answer: Answer) -> Table:
         ]
         if fit.kind != "slides":
             row += [
-                format_number(b.measured[0, i], 5), format_number(b.model[0, i], 5),
+                format_number(b.measured[0, i], 5),
+                format_number(b.model[0, i], 5),
                 f"{b.residual[0, i]:+.1f}" if np.isfinite(b.residual[0, i]) else "–",
-            ]  # fmt: skip
+            ]
         row += [
-            format_number(to_um(b.measured[1, i]), 6), format_number(to_um(b.model[1, i]), 6),
+            format_number(to_um(b.measured[1, i]), 6),
+            format_number(to_um(b.model[1, i]), 6),
             f"{b.residual[1, i]:+.1f}" if np.isfinite(b.residual[1, i]) else "–",
-        ]  # fmt: skip
+        ]
         if chi2 is not None:
             row.append(f"{chi2[i]:.3f}")
         if np.any(fit.start):

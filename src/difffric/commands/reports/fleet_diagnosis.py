@@ -49,14 +49,19 @@ def describe_fleet_diagnosis(found: FleetDiagnosis) -> dict:
         "lines": summarise(found),
         "shared": [_describe_shared(found, one) for one in found.found.shared],
         "differ": [
-            {"rig": x.rig, "effect": x.effect, "how": x.how, "p_value": x.p_value,
-             "text": describe_difference(found, x)}
+            {
+                "rig": x.rig,
+                "effect": x.effect,
+                "how": x.how,
+                "p_value": x.p_value,
+                "text": describe_difference(found, x),
+            }
             for x in found.differ
         ],
         "rigs": rigs,
         "effects": [_describe_effect(row) for row in found.found.rows],
         "bad": [{"rig": rig, "reason": why} for rig, why in found.bad],
-    }  # fmt: skip
+    }
 
 
 def _describe_effect(row: Row) -> dict:
@@ -85,10 +90,16 @@ def _describe_shared(found: FleetDiagnosis, one: Shared) -> dict:
         "at_least": one.row.at_least,
         "parameters": {
             key: {
-                "value": x.value, "standard_error": x.standard_error, "between_rigs": x.between,
-                "q": x.q, "p_value": x.p_value, "rigs": x.n,
-                "of": {rig: {"value": v, "standard_error": s}
-                       for rig, (v, s) in sorted(one.sizes[key].items())},
+                "value": x.value,
+                "standard_error": x.standard_error,
+                "between_rigs": x.between,
+                "q": x.q,
+                "p_value": x.p_value,
+                "rigs": x.n,
+                "of": {
+                    rig: {"value": v, "standard_error": s}
+                    for rig, (v, s) in sorted(one.sizes[key].items())
+                },
             }
             for key, x in one.parameters.items()
         },
@@ -96,7 +107,7 @@ def _describe_shared(found: FleetDiagnosis, one: Shared) -> dict:
             {"rig": rig, "excess": found.excess.get((one.effect, rig))}
             for rig in sorted(one.without)
         ],
-    }  # fmt: skip
+    }
 
 
 def report_fleet_diagnosis(found: FleetDiagnosis, pictures: bool) -> Report:
@@ -115,12 +126,15 @@ def report_fleet_diagnosis(found: FleetDiagnosis, pictures: bool) -> Report:
         drawn.append(Picture("effects", _CAPTION, _draw_matrix(found)))
     rows = [
         [
-            rig, f"{a['files_used']} of {a['files']}", str(a["pushes"]), a["diagnosis"]["verdict"],
+            rig,
+            f"{a['files_used']} of {a['files']}",
+            str(a["pushes"]),
+            a["diagnosis"]["verdict"],
             ", ".join(c["id"] for c in a["diagnosis"]["causes"]) or "–",
             "; ".join(x.how for x in found.differ if x.rig == rig) or "–",
         ]
         for rig, a in sorted(found.answers.items())
-    ]  # fmt: skip
+    ]
     columns = ("rig", "files", "pushes", "verdict", "causes", "differs by")
     tables = [Table("By rig", columns, rows)]
     if len(found.differ) > LINES:
@@ -167,14 +181,27 @@ def _list_shared(one: Shared) -> list[list[str]]:
 
 def _tabulate_evidence(found: FleetDiagnosis, most: int = 12) -> Table:
     rows = [
-        [row.effect, *(str(sum(x == mark for x in row.marks.values()) or "–")
-                       for mark in (NAMED, POSSIBLE)),
-         format_number(row.chi2, 3), str(row.freedom), format_number(row.p_value, 2),
-         format_number(row.p_value_two, 2), str(row.at_least or "–")]
+        [
+            row.effect,
+            *(str(sum(x == mark for x in row.marks.values()) or "–") for mark in (NAMED, POSSIBLE)),
+            format_number(row.chi2, 3),
+            str(row.freedom),
+            format_number(row.p_value, 2),
+            format_number(row.p_value_two, 2),
+            str(row.at_least or "–"),
+        ]
         for row in found.found.rows[:most]
-    ]  # fmt: skip
-    columns = ("effect", "named", "possible", "χ²", "numbers", "p, one rig", "p, two rigs",
-               "rigs at least")  # fmt: skip
+    ]
+    columns = (
+        "effect",
+        "named",
+        "possible",
+        "χ²",
+        "numbers",
+        "p, one rig",
+        "p, two rigs",
+        "rigs at least",
+    )
     return Table("Summed over the rigs, the leading effects", columns, rows)
 
 

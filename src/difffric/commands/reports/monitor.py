@@ -259,8 +259,15 @@ def _tabulate_causes(alarms: list[ExplainedAlarm]) -> Table:
                     format_number(c.left, 2),
                 ]
             )
-    columns = ("alarm at", "change at", "candidate", "change [%]", "chi² drop", "probability",
-               "p of what is left")  # fmt: skip
+    columns = (
+        "alarm at",
+        "change at",
+        "candidate",
+        "change [%]",
+        "chi² drop",
+        "probability",
+        "p of what is left",
+    )
     return Table("What may have changed", columns, rows)
 
 
@@ -297,6 +304,5 @@ def _tabulate_last(answer: dict) -> Table:
                 format_number(x["evidence"], 2),
             ]
         )
-    columns = ("push", "mm/min", "part", "mu_s", "state", "mu_s [σ]", "contrast [σ]",
-               "evidence")  # fmt: skip
+    columns = ("push", "mm/min", "part", "mu_s", "state", "mu_s [σ]", "contrast [σ]", "evidence")
     return Table("The last pushes", columns, rows)

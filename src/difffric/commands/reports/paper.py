@@ -169,9 +169,15 @@ def _tabulate_weighted(paper: Paper) -> Table:
         for r in paper.list_weighted()
     ]
     columns = (
-        "", "v [mm/min]", "gauge", "printed", "(7), published", "(7), model", "optimal",
+        "",
+        "v [mm/min]",
+        "gauge",
+        "printed",
+        "(7), published",
+        "(7), model",
+        "optimal",
         "force − distance [σ]",
-    )  # fmt: skip
+    )
     return Table("Table V, at every speed", columns, rows)
 
 
@@ -216,8 +222,14 @@ def _tabulate_calibration(paper: Paper) -> Table:
         list_row(f"20, stroke {to_mm(stroke):g} mm", fit) for stroke, fit in paper.strokes.items()
     ]
     columns = (
-        "", "k [N/m]", "b [N s/m]", "k_v [N s/m]", "spread F_p [N]", "spread d [µm]", "converged",
-    )  # fmt: skip
+        "",
+        "k [N/m]",
+        "b [N s/m]",
+        "k_v [N s/m]",
+        "spread F_p [N]",
+        "spread d [µm]",
+        "converged",
+    )
     return Table("Calibrations", columns, rows)
 
 
