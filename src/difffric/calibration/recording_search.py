@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from threading import Thread
 
@@ -69,38 +69,41 @@ class RecordingSearch:
 
         Raises `NumericalError` where no start gives a finite misfit.
         """
-        compiling = self._compile()
+        compiling = self._compile_ahead()
         best, reached, tried = None, 0, 0
-        searches: tuple[Callable[[], list[Settled | None]], ...] = (
-            self._forces_first,
-            self._tables_first,
-            lambda: [None],
-        )
-        for search in searches:
-            try:
-                starts = search()
-            except (InputError, NumericalError):
-                continue
+        for start in self._find_starts():
             compiling.join()
-            for start in starts:
-                tried += 1
-                self.tell("fitting every sample", 0.4 + 0.1 * min(tried, 5))
-                try:
-                    found = self._follow(start)
-                except NumericalError:
-                    continue
-                chi2 = found.at.components.chi2
-                if best is None or chi2 < best.at.components.chi2 - ALIKE:
-                    best, reached = found, 0
-                reached += chi2 < best.at.components.chi2 + ALIKE
-                good = best.at.components.chi2 < _FITS * best.data.samples
-                if reached > 1 or good or not self.thorough:
-                    return best, (reached, tried)
+            tried += 1
+            self.tell("fitting every sample", 0.4 + 0.1 * min(tried, 5))
+            try:
+                found = self._follow(start)
+            except NumericalError:
+                continue
+            chi2 = found.at.components.chi2
+            if best is None or chi2 < best.at.components.chi2 - ALIKE:
+                best, reached = found, 0
+            reached += chi2 < best.at.components.chi2 + ALIKE
+            good = best.at.components.chi2 < _FITS * best.data.samples
+            if reached > 1 or good or not self.thorough:
+                return best, (reached, tried)
         if best is None:
             raise NumericalError("fit: no start gives a finite misfit")
         return best, (reached, tried)
 
-    def _loose_table(self) -> tuple[Model, FitData]:
+    def _find_starts(self) -> Iterator[Settled | None]:
+        """Where peaks and distances lead, the cheaper search first; at last None, the set-up.
+
+        A search begins when the starts of the one before it are used up.
+        """
+        for search in (self._start_from_forces, self._start_from_table):
+            try:
+                starts = search()
+            except (InputError, NumericalError):
+                continue
+            yield from starts
+        yield None
+
+    def _stack_loose_table(self) -> tuple[Model, FitData]:
         """Peaks and distances, which only lead to where the samples decide."""
         rig = self.model.rig
         rig, data = table_data(rig, self.reduction.pushes, sensor_errors(rig))
@@ -108,34 +111,37 @@ class RecordingSearch:
         data = replace(data, rough=np.where(data.rough > 0, 1.0 / sd, 0.0))
         return replace(self.model, rig=rig, free_start=False), data
 
-    def _forces_first(self) -> list[Settled | None]:
+    def _start_from_forces(self) -> list[Settled]:
         """Where F_p alone and then d too lead."""
-        model, data = self._loose_table()
+        model, data = self._stack_loose_table()
         found = fit_forces(model, data, self.box)
         if found is None:
             return []
         starts = [found.theta, self.box[0]]
         return [at for _, at, _ in descend_from(model, data, starts, self.tell)[:1]]
 
-    def _tables_first(self) -> list[Settled | None]:
+    def _start_from_table(self) -> list[Settled]:
         """Where the whole search of a table leads."""
-        model, data = self._loose_table()
+        model, data = self._stack_loose_table()
         return [at for _, at, _ in search_roughly(model, data, self.box, self.tell)[:REFINED]]
 
-    def _compile(self) -> Thread:
+    def _compile_ahead(self) -> Thread:
         """Have the program that fits the samples compiled, beside those that the searches need.
 
         It is traced first: two threads that trace at once keep each other waiting.
         """
-        model, data = self._samples(None)
+        model, data = self._stack_samples(None)
         traced = descent_to_compile(model, data, first_point(model, data, self.box[0]))
         compiling = Thread(target=traced.compile, daemon=True)
         compiling.start()
         return compiling
 
-    def _samples(self, jumps: NDArray | None, stiffest: float = 0.0) -> tuple[Model, FitData]:
-        """The samples as a fit takes them, in blocks that suit a contact `stiffest` [N/m], or
-        three times as stiff as the set-up says."""
+    def _stack_samples(self, jumps: NDArray | None, stiffest: float = 0.0) -> tuple[Model, FitData]:
+        """The samples as a fit takes them, without those beside the `jumps` [s] of each push.
+
+        Blocks suit a contact of `stiffest` [N/m], or one as much stiffer than the set-up says as a
+        rough guess may be off.
+        """
         rig, pushes = self.model.rig, self.reduction.pushes
         known = float(parameters.values(rig)["k_N_per_m"])
         rough = parameters.PARAMETERS["k_N_per_m"].roughness or 1.0
@@ -156,42 +162,42 @@ class RecordingSearch:
         theta = self.box[0] if start is None else start.theta
         named = self.model.layout.value(theta).items()
         stiffest = max([0.0, *(v for x, v in named if x.startswith("k_N_per_m"))])
-        model, data = self._samples(None, stiffest)
+        model, data = self._stack_samples(None, stiffest)
         at = first_point(model, data, theta)
         if start is not None:
             at = replace(at, s_eta=start.s_eta)
-        if any(abs(x.correlation) > _COLOURED for x in self._noise()):
+        if any(abs(x.correlation) > _COLOURED for x in self._channel_noise()):
             rough = settle(model, as_if_white(data), at, trust=_TRUST, rounds=_LAST_ROUNDS)
             at = replace(first_point(model, data, rough.theta), s_eta=rough.s_eta)
         at = settle(model, data, at, trust=_TRUST)
-        rounds, elsewhere = ROUNDS, [self._branches, spread_push_friction]
+        rounds, elsewhere = ROUNDS, [self._find_branches, spread_push_friction]
         while rounds > _LAST_ROUNDS:
             jumps = np.asarray(at.end.jumps)[: data.n]
-            model, data = self._samples(jumps, stiffest)
+            model, data = self._stack_samples(jumps, stiffest)
             rounds = rounds // 2
             at = settle(model, data, at, trust=_TRUST, rounds=rounds)
-            while elsewhere and (_misfit(data, at) > _POOR).any():
+            while elsewhere and (_misfit_of_pushes(data, at) > _POOR).any():
                 other = rescan_push_friction(model, data, at, elsewhere.pop(0)(at))
                 at = at if other is at else settle(model, data, other, trust=_TRUST)
-            if _same(jumps, np.asarray(at.end.jumps)[: data.n]):
+            if _are_same(jumps, np.asarray(at.end.jumps)[: data.n]):
                 break
         return FitState(model, data, at)
 
-    def _noise(self) -> list[Noise]:
+    def _channel_noise(self) -> list[Noise]:
         found = self.reduction.details[0]
         return [x for x in (found.noise_force, found.noise_position) if x is not None]
 
-    def _branches(self, at: Settled) -> list[NDArray]:
+    def _find_branches(self, at: Settled) -> list[NDArray]:
         """Each push's log mu_s by which F_p and d are as they were measured."""
-        model, data = self._loose_table()
+        model, data = self._stack_loose_table()
         return find_branches(model, data, replace(at, weights=data.rough))
 
 
-def _misfit(data: FitData, at: Settled) -> NDArray:
+def _misfit_of_pushes(data: FitData, at: Settled) -> NDArray:
     """(n,) each push's chi-square per sample."""
     rows = at.weights * np.asarray(at.end.rows)[: data.n, :, -1]
     return np.sum(rows**2, axis=1) / data.samples_of
 
 
-def _same(old: NDArray, new: NDArray) -> bool:
+def _are_same(old: NDArray, new: NDArray) -> bool:
     return old.shape == new.shape and bool(np.allclose(old, new, atol=_SAME_JUMPS, rtol=0))
