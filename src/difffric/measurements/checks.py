@@ -17,6 +17,7 @@ from difffric.rig.rig import Rig
 from difffric.rig.sensors import ForceSensor
 
 MASS_TOLERANCE = 0.01
+"""Relative: a workshop's scale is better than that, another part is not."""
 _CHANCE = 1e-6  # of taking noise for saturation
 _SHORTEST = 3  # samples
 

@@ -102,8 +102,8 @@ class Pushes:
         """Whether only the slide from its release was measured, without a push."""
         return bool(np.isnan(self.velocity).all())
 
-    def select(self, keep) -> Pushes:
-        """The pushes where `keep` (a mask or indices) says so."""
+    def select(self, keep: NDArray | Sequence[int] | slice) -> Pushes:
+        """The pushes that `keep` names: a mask (n,) or indices."""
         index = np.arange(len(self))[keep]
         changed = {name: getattr(self, name)[index] for name in COLUMNS if name != "condition"}
         return replace(self, **changed, condition=tuple(self.condition[i] for i in index))

@@ -116,8 +116,8 @@ class Recordings(Sequence[Recording]):
             return replace(self, pushes=self.pushes[index])
         return self.pushes[index]
 
-    def select(self, keep) -> Recordings:
-        """The pushes where `keep` (a mask or indices) says so."""
+    def select(self, keep: NDArray | Sequence[int] | slice) -> Recordings:
+        """The pushes that `keep` names: a mask (n,) or indices."""
         chosen = np.arange(len(self))[keep]
         return replace(self, pushes=tuple(self.pushes[i] for i in chosen))
 

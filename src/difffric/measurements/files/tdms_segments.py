@@ -19,12 +19,14 @@ import numpy as np
 from nptdms import types
 from nptdms.common import ObjectPath, toc_properties
 
-LEAD_IN = 28
-_NO_DATA, _AS_BEFORE = 0xFFFFFFFF, 0
-_UNKNOWN_SIZE = 0xFFFFFFFFFFFFFFFF
-_DAQMX = (0x1269, 0x126A)
-_LARGEST_METADATA = 1 << 28
-_LARGEST_NAME = 1 << 20
+# What NI's white paper "TDMS File Format Internal Structure" says:
+LEAD_IN = 28  # bytes at a segment's start
+_NO_DATA, _AS_BEFORE = 0xFFFFFFFF, 0  # in place of an object's index
+_UNKNOWN_SIZE = 0xFFFFFFFFFFFFFFFF  # of a segment whose writing never ended
+_DAQMX = (0x1269, 0x126A)  # indices of raw data of NI-DAQmx, which are not read
+# What a damaged file may claim without taking all memory:
+_LARGEST_METADATA = 1 << 28  # bytes
+_LARGEST_NAME = 1 << 20  # bytes
 
 
 class DamagedError(Exception):

@@ -101,7 +101,7 @@ class RecordingWriter:
     def __exit__(self, *_) -> None:
         self.close()
 
-    def begin(self, name: str, channels: Mapping[str, Waveform], **properties) -> None:
+    def begin(self, name: str, channels: Mapping[str, Waveform], **properties: Any) -> None:
         """Begin a push: its channels (`force`, `position`, `pusher`), and its properties as the
         file names them (`velocity_mm_min`, `mass_kg`, ...); None: not known."""
         self._segments.begin(name, channels, properties, {"complete": False})

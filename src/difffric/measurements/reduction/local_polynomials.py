@@ -7,7 +7,7 @@ are not significant; the bias that this leaves is small beside the noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -49,7 +49,9 @@ class Stretch:
     """what each point is the mean over [s]; 0: a sample"""
 
     @classmethod
-    def of(cls, channel: Channel, t_0: float, t_1: float, noise: Noise, most=MOST) -> Stretch:
+    def of(
+        cls, channel: Channel, t_0: float, t_1: float, noise: Noise, most: int = MOST
+    ) -> Stretch:
         """The samples with t_0 <= t < t_1, at most `most` points; read in pieces."""
         start = channel.start
         lo, hi = (
@@ -94,8 +96,14 @@ class LocalFit:
         return float(np.sqrt(self.covariance[i, i]))
 
 
-def powers(degree: int, start: int = 0) -> Callable[[NDArray], NDArray]:
-    """Columns s^start ... s^degree."""
+Columns = Callable[[NDArray], NDArray]
+"""s (n,) to the columns of a design (n, columns)"""
+HigherTerms = Callable[[NDArray, tuple[float, float]], NDArray]
+"""s (n,) and a window's ends to the columns (n, columns) of terms higher than those fitted"""
+
+
+def powers(degree: int, start: int = 0) -> Columns:
+    """The columns s^start ... s^degree."""
 
     def columns(s: NDArray) -> NDArray:
         out = np.ones((len(s), degree + 1))
@@ -106,7 +114,15 @@ def powers(degree: int, start: int = 0) -> Callable[[NDArray], NDArray]:
     return columns
 
 
-def fit_window(stretch: Stretch, lo, hi, centre, scale, design, extra=None) -> LocalFit:
+def fit_window(
+    stretch: Stretch,
+    lo: int,
+    hi: int,
+    centre: float,
+    scale: float,
+    design: Columns,
+    extra: HigherTerms | None = None,
+) -> LocalFit:
     """Fit the columns `design(s)` of s = (t - centre) / scale to points lo <= i < hi.
 
     `extra(s, ends)` are the higher terms whose significance decides whether the fit is adequate;
@@ -215,15 +231,15 @@ def best_window(
     stretch: Stretch,
     centre: float,
     scale: float,
-    design,
-    extra,
+    design: Columns,
+    extra: HigherTerms,
     *,
-    left,
-    right,
+    left: Iterable[int],
+    right: Iterable[int],
     least: int,
-    of=0,
-    keep=(),
-    nested=False,
+    of: int = 0,
+    keep: Collection[int] = (),
+    nested: bool = False,
 ) -> LocalFit | None:
     """The fit whose coefficient `of` has the least standard error among the adequate ones.
 
@@ -233,8 +249,8 @@ def best_window(
     `nested`: `extra` does not look at the window's ends, which takes less time.
     """
     i = int(np.searchsorted(stretch.t, centre))
-    left, right = (np.array(sorted(set(n))) for n in (left, right))
-    size = left[:, None] + right
+    before, behind = (np.array(sorted(set(n))) for n in (left, right))
+    size = before[:, None] + behind
     if not (size >= least).any():
         return None
 
@@ -242,7 +258,7 @@ def best_window(
         return np.concatenate([design(s), extra(s, ends)], axis=1)
 
     s = (stretch.t - centre) / scale
-    gram = _grams(stretch, i, s, columns, left, right, nested)[size >= least]
+    gram = _grams(stretch, i, s, columns, before, behind, nested)[size >= least]
     p, q = design(s[:1]).shape[1], gram.shape[-1] - 1
     norms = np.sqrt(np.diagonal(gram, axis1=1, axis2=2))
     norms[norms == 0] = 1.0
@@ -255,11 +271,11 @@ def best_window(
     se = np.linalg.norm(np.linalg.solve(r[:, :p, :p].swapaxes(1, 2), unit)[..., 0], axis=1)
     rank = np.where(passed > 0, se / norms[:, of], n)
     chosen = int(np.lexsort((rank, -passed))[0])
-    ends = np.broadcast_arrays(i - left[:, None], i + right)
+    ends = np.broadcast_arrays(i - before[:, None], i + behind)
     lo, hi = (int(e[size >= least][chosen]) for e in ends)
     if passed[chosen]:
-        short_lo = lo if lo in keep else i - max(round(_SHRINK * (i - lo)), int(left[0]))
-        short_hi = hi if hi in keep else i + max(round(_SHRINK * (hi - i)), int(right[0]))
+        short_lo = lo if lo in keep else i - max(round(_SHRINK * (i - lo)), int(before[0]))
+        short_hi = hi if hi in keep else i + max(round(_SHRINK * (hi - i)), int(behind[0]))
         if short_hi - short_lo >= least:
             lo, hi = short_lo, short_hi
     return fit_window(stretch, lo, hi, centre, scale, design, extra)
