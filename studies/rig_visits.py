@@ -5,7 +5,8 @@
 A *stay* is a run of consecutive calls, in one module, of functions that are given a `Rig` (as an
 argument, or as `self`). Rooms are the modules stayed in; a *return* is a stay in a room that was
 left before. Few returns mean that data flow through the rooms and do not commute between them.
-Calls that JAX traces count, as they are the way that a reader of the source follows.
+A place in the source that calls counts once, when it is first passed: a loop is no longer way to a
+reader. Calls that JAX traces count, as a reader follows them too.
 
 It runs on any version of the source: put its `src` first on PYTHONPATH.
 """
@@ -30,7 +31,7 @@ PACKAGE = str(Path(df.__path__[0]))
 def trace_rooms(work: Callable[[], Any]) -> list[str]:
     """The module of every call during `work` of a function of the package that is given a rig."""
     rooms: list[str] = []
-    seen = set()
+    seen: set[tuple[Any, int, Any]] = set()
 
     def note(frame, event, _) -> None:
         code = frame.f_code
@@ -43,7 +44,7 @@ def trace_rooms(work: Callable[[], Any]) -> list[str]:
         if code.co_flags & inspect.CO_VARARGS:
             given += frame.f_locals[code.co_varnames[count]]
         caller = frame.f_back
-        site = caller.f_code, caller.f_lineno, code
+        site = (caller and caller.f_code, caller.f_lineno if caller else 0, code)
         if site not in seen and any(isinstance(x, df.Rig) for x in given):
             seen.add(site)
             rooms.append(frame.f_globals["__name__"].removeprefix("difffric."))

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from difffric.identification.estimates import Estimates, PushFriction
 from difffric.identification.inversion import Inversion
 from difffric.identification.resolved_pushes import ResolvedPushes
-from difffric.identification.surrogates import weighted
+from difffric.identification.surrogates import weigh_by_ranges
 
 _NO_RANGE = "no (7): the model gives no range of d"
 _NO_NOISE = "no optimum: the noise of F_p or of d is not known"
@@ -125,7 +125,7 @@ def _weigh_by_7(
     both: NDArray,
 ) -> Float[NDArray, "n 2"]:
     """Equation (7)'s weights; NaN where force and distance do not both say something."""
-    _, w_F, w_d = weighted(mu[:, 0], mu[:, 1], slope[:, 0], slope[:, 1], ratio)
+    _, w_F, w_d = weigh_by_ranges(mu[:, 0], mu[:, 1], slope[:, 0], slope[:, 1], ratio)
     return np.where(both[:, None], np.stack([w_F, w_d], axis=1), np.nan)
 
 

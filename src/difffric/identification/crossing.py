@@ -7,10 +7,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import optimistix as optx
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from difffric.compute.bracketed_newton import BracketedNewton
 from difffric.identification.push_models import observe_at
 from difffric.rig.rig import Rig
+from difffric.simulation.segments import Integrator
 
 
 class Crossing(NamedTuple):
@@ -24,7 +26,13 @@ class Crossing(NamedTuple):
 
 
 def find_crossing(
-    rig: Rig, velocity, target, by_force, bracket, rising, integrator=None
+    rig: Rig,
+    velocity: ArrayLike,
+    target: ArrayLike,
+    by_force: Bool[ArrayLike, ""],
+    bracket: tuple[ArrayLike, ArrayLike] | Float[Array, "2"],
+    rising: Bool[ArrayLike, ""],
+    integrator: Integrator | None = None,
 ) -> Crossing:
     """The mu_s in the bracket at which F_p (where `by_force`) or d takes the value `target`
     [N or m].

@@ -34,7 +34,11 @@ class Instant(NamedTuple):
 
 
 def identifier(
-    rig: Rig, *, peak_force_se: float = np.nan, sliding_distance_se: float = np.nan, bracket=BRACKET
+    rig: Rig,
+    *,
+    peak_force_se: float = np.nan,
+    sliding_distance_se: float = np.nan,
+    bracket: tuple[float, float] = BRACKET,
 ) -> Callable[..., Instant]:
     """A function of (velocity [m/s], peak_force [N], sliding_distance [m]), all Python floats,
     that gives the mu_s of that push on this rig: NaN for what was not measured.

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, ArrayLike, Float, Int
 from numpy.typing import NDArray
 
 from difffric.compute.program_cache import cache_program
@@ -108,8 +108,8 @@ class PushModels(eqx.Module):
 
 def observe_at(
     rig: Rig,
-    velocity: Float[Array, ""],
-    mu_s: Float[Array, ""],
+    velocity: Float[ArrayLike, ""],
+    mu_s: Float[ArrayLike, ""],
     integrator: Integrator | None = None,
 ) -> Observables:
     """What is measured of a push at `velocity` [m/s] if its mu_s were this one; traceable."""

@@ -7,9 +7,11 @@ mm/min and µm, because that is how they are printed.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from difffric.errors import NumericalError
 from difffric.simulation.families import Family
@@ -25,20 +27,22 @@ class ForceSurrogate:
     C_mu: float
     """[N]"""
 
-    def peak_force(self, velocity, mu_s):
+    def peak_force(self, velocity: NDArray | float, mu_s: NDArray | float) -> Any:
         """F_p [N]."""
         return self.C_v * to_mm_min(velocity) + self.C_mu * mu_s
 
-    def mu_s(self, velocity, peak_force):
+    def mu_s(self, velocity: NDArray | float, peak_force: NDArray | float) -> Any:
         """Equation (4)."""
         return (peak_force - self.C_v * to_mm_min(velocity)) / self.C_mu
 
-    def slope(self, velocity, mu_s):
+    def slope(self, velocity: NDArray | float, mu_s: NDArray | float) -> Any:
         """dF_p/dmu_s [N]."""
         return self.C_mu * np.ones_like(velocity * mu_s)
 
     @classmethod
-    def fitted(cls, velocity, mu_s, peak_force) -> ForceSurrogate:
+    def fit(
+        cls, velocity: NDArray | float, mu_s: NDArray | float, peak_force: NDArray | float
+    ) -> ForceSurrogate:
         """Least squares over all points given (NaN left out)."""
         v, mu, F = _finite(to_mm_min(velocity), mu_s, peak_force)
         (C_v, C_mu), *_ = np.linalg.lstsq(np.stack([v, mu], axis=1), F, rcond=None)
@@ -56,18 +60,18 @@ class DistanceSurrogate:
     C_2: float
     k2: float
 
-    def sliding_distance(self, velocity, mu_s):
+    def sliding_distance(self, velocity: NDArray | float, mu_s: NDArray | float) -> Any:
         """d [m]."""
         d_0, A = self._coefficients(velocity)
         return from_um(d_0 + A * (mu_s - self.mu_0) ** 2)
 
-    def mu_s(self, velocity, sliding_distance):
+    def mu_s(self, velocity: NDArray | float, sliding_distance: NDArray | float) -> Any:
         """Equation (6); NaN where d is below d_0, the least that (5) gives."""
         d_0, A = self._coefficients(velocity)
         square = np.asarray((to_um(sliding_distance) - d_0) / A)
         return self.mu_0 - np.sqrt(np.where(square >= 0, square, np.nan))
 
-    def slope(self, velocity, mu_s):
+    def slope(self, velocity: NDArray | float, mu_s: NDArray | float) -> Any:
         """dd/dmu_s [m]."""
         return from_um(2 * self._coefficients(velocity)[1] * (mu_s - self.mu_0))
 
@@ -76,7 +80,9 @@ class DistanceSurrogate:
         return self.C_1 * v**self.k1, self.C_2 * v**self.k2
 
     @classmethod
-    def fitted(cls, velocity, mu_s, sliding_distance) -> DistanceSurrogate:
+    def fit(
+        cls, velocity: NDArray | float, mu_s: NDArray | float, sliding_distance: NDArray | float
+    ) -> DistanceSurrogate:
         """Least squares over all points given (NaN left out), from the published values.
 
         Raises `NumericalError` with fewer points than coefficients.
@@ -100,7 +106,13 @@ class DistanceSurrogate:
         return surrogate([float(x) for x in p])
 
 
-def weighted(mu_force, mu_dist, dF, dd, ratio):
+def weigh_by_ranges(
+    mu_force: NDArray | float,
+    mu_dist: NDArray | float,
+    dF: NDArray | float,
+    dd: NDArray | float,
+    ratio: NDArray | float,
+) -> tuple[Any, Any, Any]:
     """Equation (7): mu_s* and its weights (force, distance), which sum to one.
 
     `dF` [N] and `dd` [m] are the derivatives by mu_s, of which magnitudes are meant (dd is
@@ -120,7 +132,7 @@ def _finite(*columns):
 def fit_force(family: Family) -> ForceSurrogate:
     """Equation (3) fitted to a family of curves."""
     v, mu = np.meshgrid(family.velocity, family.mu_s, indexing="ij")
-    return ForceSurrogate.fitted(v, mu, family.peak_force)
+    return ForceSurrogate.fit(v, mu, family.peak_force)
 
 
 def fit_distance(family: Family) -> DistanceSurrogate:
@@ -129,7 +141,7 @@ def fit_distance(family: Family) -> DistanceSurrogate:
     Raises `NumericalError` with fewer pushes that slide than it has coefficients.
     """
     v, mu = np.meshgrid(family.velocity, family.mu_s, indexing="ij")
-    return DistanceSurrogate.fitted(v, mu, family.sliding_distance)
+    return DistanceSurrogate.fit(v, mu, family.sliding_distance)
 
 
 PUBLISHED_FORCE = ForceSurrogate(C_v=0.0529, C_mu=146.2)

@@ -21,6 +21,8 @@ _OPEN = 0.3
 """Standard deviation of log mu_s that is as good as none: it moves no estimate by more than the
 share (standard error / this)^2 of its distance from the start."""
 _MASKINGS = 3
+"""Times that the samples beside jumps of the model are looked up and the fit begins anew: the jumps
+move with mu_s, by less each time."""
 _POOR = 2.0
 """A reduced chi-square above this makes a search elsewhere."""
 

@@ -14,7 +14,7 @@ from difffric.centering.belief import Belief
 from difffric.centering.loop import Centering, centre
 from difffric.centering.machine import Machine, PushReadings
 from difffric.centering.planning import Known, Plan
-from difffric.identification.surrogates import fit_distance, fit_force, weighted
+from difffric.identification.surrogates import fit_distance, fit_force, weigh_by_ranges
 from difffric.rig import parameters
 from difffric.simulation.families import family
 
@@ -71,4 +71,4 @@ def combine_surrogates(rivals: Rivals, velocity: float, readings: PushReadings) 
         float(force.slope(velocity, by_force)),
         float(distance.slope(velocity, by_distance)),
     )
-    return float(weighted(by_force, by_distance, *slopes, rivals.family.range_ratio)[0])
+    return float(weigh_by_ranges(by_force, by_distance, *slopes, rivals.family.range_ratio)[0])

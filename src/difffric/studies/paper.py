@@ -18,7 +18,7 @@ from difffric.diagnosis.impossible_measurements import compute_lossless_bound
 from difffric.diagnosis.procedure import diagnose
 from difffric.diagnosis.verdict import Diagnosis
 from difffric.identification.estimators import PushFriction, identify
-from difffric.identification.surrogates import PUBLISHED_DISTANCE, PUBLISHED_FORCE, weighted
+from difffric.identification.surrogates import PUBLISHED_DISTANCE, PUBLISHED_FORCE, weigh_by_ranges
 from difffric.measurements.pushes import Pushes
 from difffric.progress import Tell, silent
 from difffric.rig import parameters
@@ -304,7 +304,7 @@ def combine_surrogates(
     mu_F = PUBLISHED_FORCE.mu_s(velocity, peak_force)
     mu_d = PUBLISHED_DISTANCE.mu_s(velocity, sliding_distance)
     dF, dd = PUBLISHED_FORCE.slope(velocity, mu_F), PUBLISHED_DISTANCE.slope(velocity, mu_d)
-    return weighted(mu_F, mu_d, dF, dd, ratio)[0]
+    return weigh_by_ranges(mu_F, mu_d, dF, dd, ratio)[0]
 
 
 def find_misprints() -> list[dict]:

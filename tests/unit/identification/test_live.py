@@ -14,7 +14,7 @@ from difffric.acquisition.push import Acquired, Command
 from difffric.commands.figures.acquire import draw_strokes, find_envelope
 from difffric.commands.live_view import LivePlot, LiveView
 from difffric.identification.estimates import NONE, Estimate, PushFriction
-from difffric.identification.live import LivePush, contradictions
+from difffric.identification.live import LivePush, find_contradictions
 from difffric.identification.tabulated_model import TabulatedModel, _observe_chunk
 from difffric.measurements.recordings import Channel, Recording
 from difffric.measurements.reduction.reduce import Reduced
@@ -101,7 +101,7 @@ def test_two_strokes_stand_one_after_the_other():
 def test_the_reduction_checks_what_the_card_saw(change, words):
     rig = read_setup("examples/setup.toml").rig
     acquired = replace(ACQUIRED, hardware=replace(HARDWARE, **change))
-    found = contradictions(acquired, recording(), REDUCED, rig)
+    found = find_contradictions(acquired, recording(), REDUCED, rig)
     assert bool(found) == bool(words) and words in "; ".join(found)
 
 

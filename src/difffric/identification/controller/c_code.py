@@ -7,7 +7,7 @@ from string import Template
 
 import numpy as np
 
-from difffric.identification.controller.fitting import Exported, drawn, readings
+from difffric.identification.controller.fitting import Exported, compute_readings, draw_points
 from difffric.identification.controller.predictor import Cells
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
@@ -20,7 +20,7 @@ GOLDEN = (
 """Columns of golden.csv. `true_mu_s` is the model's; nan where the readings are made up."""
 
 
-def statement(exported: Exported) -> str:
+def state_error(exported: Exported) -> str:
     """One sentence on the error."""
     worst = max(exported.worst.values())
     tried = f"worst of {exported.points} random pushes {100 * worst:.2g} %"
@@ -30,14 +30,14 @@ def statement(exported: Exported) -> str:
     return f"Error of mu_s where determined: {tried} (sampled, no bound)."
 
 
-def source_files(
+def render_source(
     exported: Exported, rig: Rig, peak_force_se: float | None, sliding_distance_se: float | None
 ) -> dict[str, bytes]:
     """predictor.c and predictor.h. The standard errors [N, m] are the set-up's, None: not said."""
     p = exported.predictor
     box = p.box
     names = {
-        "statement": statement(exported),
+        "statement": state_error(exported),
         "slowest": _c(p.slowest),
         "fastest": _c(p.fastest),
         "box_speeds": f"{box.slowest:.6g} to {box.fastest:.6g}",
@@ -66,12 +66,14 @@ def source_files(
     }
 
 
-def golden(exported: Exported, rig: Rig, F_se: float | None, d_se: float | None, n=400) -> bytes:
+def render_golden(
+    exported: Exported, rig: Rig, F_se: float | None, d_se: float | None, n: int = 400
+) -> bytes:
     """golden.csv: exact readings all over the box with and without standard errors, then readings
     that are missing, outside and impossible."""
     p, random = exported.predictor, np.random.default_rng(1)
-    v, mu_s = drawn(random, p.box, n)
-    seen = readings(rig, v, mu_s)
+    v, mu_s = draw_points(random, p.box, n)
+    seen = compute_readings(rig, v, mu_s)
     F, d = seen["force"][0], seen["distance"][0]
     errors = [np.full(n, F_se or 0.5), np.full(n, d_se or 0.3e-6)]
     for i, error in enumerate(errors):

@@ -34,7 +34,7 @@ class Line(NamedTuple):
         ends = np.stack([left, right], axis=1).ravel()
         return cls(ends, np.stack([y_left, y_right], axis=1).ravel(), np.cumsum(sizes))
 
-    def covered(self, a, b) -> float:
+    def measure_cover(self, a: float, b: float) -> float:
         """The share of [a, b] that is determined."""
         if not len(self.X):
             return 0.0
@@ -42,7 +42,7 @@ class Line(NamedTuple):
         return float((high - low) / (b - a))
 
 
-def determined(q: NDArray, elasticity: NDArray, y: NDArray, least: float) -> NDArray:
+def find_determined(q: NDArray, elasticity: NDArray, y: NDArray, least: float) -> NDArray:
     """Which intervals of a grid of mu_s (n - 1 of n points) one can tell by the reading q.
 
     There q exists, is monotone without a jump, changes by at least `least` of itself for a relative

@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from difffric.errors import InputError, NumericalError
-from difffric.identification.controller.domain import Line, determined
+from difffric.identification.controller.domain import Line, find_determined
 from difffric.identification.controller.predictor import DETERMINED, Box, Cells, Predictor
 from difffric.progress import Tell, silent
 from difffric.rig import parameters
@@ -37,7 +37,14 @@ _XI, _LINES = 4, 5  # coefficients along X; speeds at which a range of them is f
 _NODES = np.cos(np.pi * np.arange(12, -1, -1) / 12)
 _FINE = np.linspace(-1.0, 1.0, 49)
 _ROUNDS = 12
-_STRIPS, _DEEPEST, _POINTS, _NARROWEST = 8, 4, 2000, 2.0**-11
+"""Times at most that cells in which a random point was off are left out and new points drawn."""
+_STRIPS, _DEEPEST = 8, 4
+"""Ranges of speed at first, by equal ratios, and how often one is halved where its cells lose more
+than 1 % of what is determined: 128 at most, which keeps the tables of the C code small."""
+_POINTS = 2000
+"""Of the grid of mu_s at a speed; an eighth for a rig that is integrated, which takes long."""
+_NARROWEST = 2.0**-11
+"""The narrowest cell, as a share of the whole range of X (its logarithm)."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +70,7 @@ class Exported:
     least_elasticity: float
 
 
-def homogeneous(rig: Rig) -> bool:
+def is_homogeneous(rig: Rig) -> bool:
     """Whether F_p / v and d / v are functions of mu_s / v alone: equations (1) and (2) as they are,
     plain sensors, and no stroke."""
     laws = (
@@ -94,19 +101,19 @@ def fit_predictor(
     `NumericalError` where the error cannot be reached, with what was reached.
     """
     check(rig, box, max_error, least_elasticity)
-    plain = homogeneous(rig)
+    plain = is_homogeneous(rig)
     points = points or (1_000_000 if rig.affine else 30_000)
     bound: dict[str, float | None] = dict.fromkeys(QUANTITIES)
     tell("following pushes", 0.0)
     if plain:
-        cells, bound = _one_curve(rig, box, max_error, least_elasticity)
+        cells, bound = _fit_curve(rig, box, max_error, least_elasticity)
     else:
-        cells = _surface(rig, box, max_error, least_elasticity, tell)
+        cells = _fit_surface(rig, box, max_error, least_elasticity, tell)
     predictor = Predictor(box, max_error, **cells)
     dropped, random = 0, np.random.default_rng(seed)
     for round_ in range(1 if plain else _ROUNDS):
         tell("trying random pushes", 0.6 + 0.35 * round_ / _ROUNDS)
-        worst, answered, bad = _tried(rig, predictor, random, points)
+        worst, answered, bad = _try_points(rig, predictor, random, points)
         if plain or not any(len(cells) for cells in bad.values()):
             break
         # Readings of some other mu_s end there too: several mu_s that no line of the fit has met.
@@ -146,7 +153,7 @@ def check(rig: Rig, box: Box, max_error: float, least_elasticity: float) -> None
         raise InputError("export: expected a rig whose friction has mu_s")
 
 
-def readings(rig: Rig, v, mu_s) -> dict[str, tuple[NDArray, NDArray]]:
+def compute_readings(rig: Rig, v: ArrayLike, mu_s: ArrayLike) -> dict[str, tuple[NDArray, NDArray]]:
     """(F_p or d, its elasticity by mu_s) of n pushes."""
     v, mu_s = np.broadcast_arrays(np.asarray(v, float), np.asarray(mu_s, float))
     seen = observe_batch(parameters.with_values(rig, {"mu_s": mu_s.copy()}), v.copy())
@@ -158,25 +165,25 @@ def readings(rig: Rig, v, mu_s) -> dict[str, tuple[NDArray, NDArray]]:
         }
 
 
-def _one_curve(rig, box: Box, max_error, least):
+def _fit_curve(rig, box: Box, max_error, least):
     """One curve serves every speed, as v drops out."""
     ends = box.least_mu_s / box.fastest * (1 - _MARGIN), box.most_mu_s / box.slowest * (1 + _MARGIN)
     n = int(np.clip(60 * np.log(ends[1] / ends[0]) / max_error, 20_000, 2_000_000))
     y = np.geomspace(*ends, n)
     v = np.sqrt(box.slowest * box.fastest)
-    seen = readings(rig, v, y * v)
+    seen = compute_readings(rig, v, y * v)
     speeds = np.array([box.slowest, box.fastest])
     cells, bound = {}, {}
     for name in QUANTITIES:
         q, elasticity = seen[name]
-        good = determined(q, elasticity, y, least)
-        found = _divided([Line.of(y, q / v, good)], 0.8 * max_error, 1)
-        cells[name] = _joined(speeds, [found])
-        bound[name] = _bound(cells[name], y, q / v, good) if len(found) else 0.0
+        good = find_determined(q, elasticity, y, least)
+        found = _fit_cells([Line.of(y, q / v, good)], 0.8 * max_error, 1)
+        cells[name] = _join_cells(speeds, [found])
+        bound[name] = _bound_error(cells[name], y, q / v, good) if len(found) else 0.0
     return cells, bound
 
 
-def _bound(cells: Cells, y, X, good) -> float:
+def _bound_error(cells: Cells, y, X, good) -> float:
     """The largest relative error of mu_s over all good intervals: see the head of this file."""
     mid_v = np.full(len(X), cells.speeds.mean())
     inside = np.flatnonzero(np.isfinite(X))
@@ -201,7 +208,7 @@ def _bound(cells: Cells, y, X, good) -> float:
     return float(np.max((worst / y[:-1])[pair], initial=0.0))
 
 
-def _surface(rig, box: Box, max_error, least, tell):
+def _fit_surface(rig, box: Box, max_error, least, tell):
     """Ranges of speed, halved where more of what is determined would otherwise be lost."""
     edges = np.geomspace(box.slowest, box.fastest, _STRIPS + 1)
     out = {}
@@ -213,39 +220,39 @@ def _surface(rig, box: Box, max_error, least, tell):
             a, b, depth = todo[name].pop()
             tell("following pushes", 0.3 * k + 0.3 * len(done) / (len(done) + len(todo[name]) + 1))
             if (a, b) not in lines:
-                lines[a, b] = _lines(rig, a, b, box, least)
+                lines[a, b] = _trace_lines(rig, a, b, box, least)
             own = lines[a, b][name]
-            found = _divided(own, 0.6 * max_error, 3)
-            lost = _lost(own, found)
+            found = _fit_cells(own, 0.6 * max_error, 3)
+            lost = _measure_loss(own, found)
             if lost > 0.01 and depth < (_DEEPEST if rig.affine else _DEEPEST - 1):
                 middle = float(np.sqrt(a * b))
                 todo[name] += [(a, middle, depth + 1), (middle, b, depth + 1)]
             else:
                 done.append((a, b, found))
         done.sort(key=lambda strip: strip[0])
-        out[name] = _joined(
+        out[name] = _join_cells(
             np.array([*(a for a, _, _ in done), box.fastest]), [f for *_, f in done]
         )
     return out
 
 
-def _lines(rig, a, b, box: Box, least) -> dict[str, list[Line]]:
+def _trace_lines(rig, a, b, box: Box, least) -> dict[str, list[Line]]:
     """At the fitted speeds of a range."""
     v = 0.5 * (a + b) + 0.5 * (b - a) * np.linspace(-1, 1, _LINES)
     n = _POINTS if rig.affine else _POINTS // 8
     y = np.geomspace(box.least_mu_s / b * (1 - _MARGIN), box.most_mu_s / a * (1 + _MARGIN), n)
-    seen = readings(rig, np.repeat(v, len(y)), (v[:, None] * y).ravel())
+    seen = compute_readings(rig, np.repeat(v, len(y)), (v[:, None] * y).ravel())
     out = {}
     for name in QUANTITIES:
         q, elasticity = (column.reshape(len(v), -1) for column in seen[name])
         out[name] = [
-            Line.of(y, q[i] / v[i], determined(q[i], elasticity[i], y, least))
+            Line.of(y, q[i] / v[i], find_determined(q[i], elasticity[i], y, least))
             for i in range(len(v))
         ]
     return out
 
 
-def _divided(lines: list[Line], within: float, tau: int) -> list[tuple[float, float, NDArray]]:
+def _fit_cells(lines: list[Line], within: float, tau: int) -> list[tuple[float, float, NDArray]]:
     """Cells (lower, upper, coefficients) that hold the inverse within an error, wherever it is
     determined at every speed of `lines`; halved until they do."""
     ends = [line.X for line in lines if len(line.X)]
@@ -261,7 +268,7 @@ def _divided(lines: list[Line], within: float, tau: int) -> list[tuple[float, fl
     todo, found = [(lower, upper)], []
     while todo:
         a, b = todo.pop()
-        covered = [line.covered(a, b) for line in lines]
+        covered = [line.measure_cover(a, b) for line in lines]
         if max(covered) <= 1e-9:
             continue
         if min(covered) >= 1 - 1e-6:
@@ -278,7 +285,7 @@ def _divided(lines: list[Line], within: float, tau: int) -> list[tuple[float, fl
     return found
 
 
-def _lost(lines: list[Line], found) -> float:
+def _measure_loss(lines: list[Line], found) -> float:
     """The share of y (by its logarithm) that is determined and in no cell."""
     lower = np.array([a for a, _, _ in found])
     upper = np.array([b for _, b, _ in found])
@@ -292,7 +299,7 @@ def _lost(lines: list[Line], found) -> float:
     return lost / total if total else 0.0
 
 
-def _joined(speeds, strips) -> Cells:
+def _join_cells(speeds, strips) -> Cells:
     counts = np.cumsum([0, *(len(found) for found in strips)])
     every = [cell for found in strips for cell in found]
     shape = next((c.shape for _, _, c in every), (1, _XI))
@@ -305,7 +312,7 @@ def _joined(speeds, strips) -> Cells:
     )
 
 
-def drawn(random, box: Box, n: int) -> tuple[NDArray, NDArray]:
+def draw_points(random: np.random.Generator, box: Box, n: int) -> tuple[NDArray, NDArray]:
     """n random (speed [m/s], mu_s) of a box, evenly."""
     v = random.uniform(box.slowest, box.fastest, n)
     return v, random.uniform(box.least_mu_s, box.most_mu_s, n)
@@ -313,7 +320,7 @@ def drawn(random, box: Box, n: int) -> tuple[NDArray, NDArray]:
 
 def _errors(rig, predictor: Predictor, v, mu_s):
     """By quantity, (relative error of mu_s, whether it was answered), with the readings."""
-    seen = readings(rig, v, mu_s)
+    seen = compute_readings(rig, v, mu_s)
     F, d = seen["force"][0], seen["distance"][0]
     found = predictor.predict(v, F, d)
     return {
@@ -326,7 +333,7 @@ def _without(cells: Cells, bad) -> Cells:
     keep = np.ones(cells.first[-1], bool)
     keep[bad] = False
     if not keep.any():
-        return _joined(cells.speeds, [[] for _ in cells.speeds[1:]])
+        return _join_cells(cells.speeds, [[] for _ in cells.speeds[1:]])
     before = np.concatenate([[0], np.cumsum(keep)])
     return Cells(
         cells.speeds, before[cells.first], cells.lower[keep], cells.upper[keep],
@@ -334,7 +341,7 @@ def _without(cells: Cells, bad) -> Cells:
     )  # fmt: skip
 
 
-def _tried(rig, predictor: Predictor, random, points):
+def _try_points(rig, predictor: Predictor, random, points):
     """(worst error by quantity, share answered, cells in which the error is too large), of random
     points."""
     worst = dict.fromkeys(QUANTITIES, 0.0)
@@ -342,7 +349,7 @@ def _tried(rig, predictor: Predictor, random, points):
     bad = {name: np.zeros(0, int) for name in QUANTITIES}
     for start in range(0, points, 250_000):
         n = min(250_000, points - start)
-        v, mu_s = drawn(random, predictor.box, n)
+        v, mu_s = draw_points(random, predictor.box, n)
         found = _errors(rig, predictor, v, mu_s)
         for name in QUANTITIES:
             error, has, q = found[name]
@@ -363,11 +370,11 @@ def _coverage(rig, predictor: Predictor, random, least, speeds, points=1000):
     missed = dict(held)
     share = (np.arange(speeds) + random.random(speeds)) / speeds
     for v in box.slowest + (box.fastest - box.slowest) * share:
-        seen = readings(rig, v, mu_s)
+        seen = compute_readings(rig, v, mu_s)
         found = predictor.predict(v, seen["force"][0], seen["distance"][0])
         can, does = [], []
         for name, code in (("force", found.force), ("distance", found.distance)):
-            good = determined(*seen[name], mu_s, least)
+            good = find_determined(*seen[name], mu_s, least)
             can.append(good)
             does.append((code[:-1] == DETERMINED) & (code[1:] == DETERMINED))
         can.append(can[0] | can[1])

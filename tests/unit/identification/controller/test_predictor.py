@@ -14,8 +14,13 @@ import pytest
 import difffric as df
 from difffric.commands.reports.export import describe_predictor, render_files, report_predictor
 from difffric.errors import InputError, NumericalError
-from difffric.identification.controller.domain import Line, determined
-from difffric.identification.controller.fitting import drawn, fit_predictor, homogeneous, readings
+from difffric.identification.controller.domain import Line, find_determined
+from difffric.identification.controller.fitting import (
+    compute_readings,
+    draw_points,
+    fit_predictor,
+    is_homogeneous,
+)
 from difffric.identification.controller.predictor import (
     BY_DISTANCE,
     BY_FORCE,
@@ -40,7 +45,7 @@ STROKE_BOX = Box(from_mm_min(1200.0), from_mm_min(2500.0), 0.08, 0.25)
 
 def one(v, mu_s, rig=RIG):
     """(F_p, d) of one push."""
-    seen = readings(rig, [v], [mu_s])
+    seen = compute_readings(rig, [v], [mu_s])
     return [float(seen[name][0][0]) for name in ("force", "distance")]
 
 
@@ -58,25 +63,25 @@ def with_stroke():
 @pytest.mark.parametrize("scale", [0.1, 0.7, 3.0])
 def test_without_a_stroke_pushes_are_homogeneous(scale):
     """F_p(s v, s mu_s) = s F_p(v, mu_s), and so d: why one curve serves every speed."""
-    v, mu_s = drawn(np.random.default_rng(0), BOX, 500)
-    one, other = readings(RIG, v, mu_s), readings(RIG, scale * v, scale * mu_s)
-    assert homogeneous(RIG)
+    v, mu_s = draw_points(np.random.default_rng(0), BOX, 500)
+    one, other = compute_readings(RIG, v, mu_s), compute_readings(RIG, scale * v, scale * mu_s)
+    assert is_homogeneous(RIG)
     for name in ("force", "distance"):
         assert other[name][0] == pytest.approx(scale * one[name][0], rel=1e-11, nan_ok=True)
 
 
 def test_a_stroke_or_an_effect_breaks_it():
-    assert not homogeneous(parameters.with_stroke(RIG, 1e-3))
-    assert not homogeneous(df.rig.extended(RIG, {"stribeck": {"v_s_m_per_s": 0.02}}))
+    assert not is_homogeneous(parameters.with_stroke(RIG, 1e-3))
+    assert not is_homogeneous(df.rig.extended(RIG, {"stribeck": {"v_s_m_per_s": 0.02}}))
 
 
 def test_the_bound_holds_and_is_close(exported):
     """At points of its own, dense along one speed and at random over the box."""
     random = np.random.default_rng(7)
-    v, mu_s = drawn(random, BOX, 200_000)
+    v, mu_s = draw_points(random, BOX, 200_000)
     line = np.geomspace(BOX.least_mu_s, BOX.most_mu_s, 100_000)
     v, mu_s = np.append(v, np.full(100_000, BOX.slowest)), np.append(mu_s, line)
-    seen = readings(RIG, v, mu_s)
+    seen = compute_readings(RIG, v, mu_s)
     found = exported.predictor.predict(v, seen["force"][0], seen["distance"][0])
     for name, value in (("force", found.mu_s_force), ("distance", found.mu_s_distance)):
         worst = np.nanmax(np.abs(value / mu_s - 1))
@@ -89,8 +94,8 @@ def test_what_the_model_determines_is_answered(exported):
     """And d without a release is not: what is missing of the box is where there is no d."""
     assert exported.determined["force"] == pytest.approx(1.0, abs=1e-9)
     assert all(share == 0 for share in exported.missed.values())
-    v, mu_s = drawn(np.random.default_rng(8), BOX, 50_000)
-    d, elasticity = readings(RIG, v, mu_s)["distance"]
+    v, mu_s = draw_points(np.random.default_rng(8), BOX, 50_000)
+    d, elasticity = compute_readings(RIG, v, mu_s)["distance"]
     found = exported.predictor.predict(v, sliding_distance=d)
     assert (found.distance[np.isnan(d)] == NOT_MEASURED).all()
     far = np.isfinite(d) & (np.abs(elasticity) < 30)  # not on the edge of release itself
@@ -98,8 +103,8 @@ def test_what_the_model_determines_is_answered(exported):
 
 
 def test_it_agrees_with_the_exact_inversion(exported):
-    v, mu_s = drawn(np.random.default_rng(9), BOX, 20)
-    seen = readings(RIG, v, mu_s)
+    v, mu_s = draw_points(np.random.default_rng(9), BOX, 20)
+    seen = compute_readings(RIG, v, mu_s)
     found = exported.predictor.predict(v, seen["force"][0], seen["distance"][0])
     for target, quantity, mine in (
         (seen["force"][0], "peak_force", found.mu_s_force),
@@ -155,7 +160,7 @@ def test_the_status_says_which_reading_it_is_from(exported):
 def test_a_force_that_is_the_damper_s_step_determines_nothing():
     """F_p = b v at touch, whatever mu_s: the predictor says so, and d alone answers."""
     rig = df.spring_damper_rig(mass=18.9, mu_s=0.141, k=8.0e5, b=9000.0, k_v=0.0)
-    F, elasticity = (float(x[0]) for x in readings(rig, [0.08], [0.05])["force"])
+    F, elasticity = (float(x[0]) for x in compute_readings(rig, [0.08], [0.05])["force"])
     assert pytest.approx(9000 * 0.08) == F and elasticity == 0
     box = Box(from_mm_min(3000.0), from_mm_min(5000.0), 0.05, 0.30)
     found = fit_predictor(rig, box, points=20_000)
@@ -168,7 +173,7 @@ def test_with_a_stroke_it_is_silent_where_a_distance_means_several_mu_s(with_str
     assert max(found.worst.values()) <= 0.005 and found.bound["force"] is None
     v = from_mm_min(1300.0)
     mu_s = np.linspace(STROKE_BOX.least_mu_s, STROKE_BOX.most_mu_s, 4000)
-    d = readings(rig, v, mu_s)["distance"][0]
+    d = compute_readings(rig, v, mu_s)["distance"][0]
     answered = found.predictor.predict(v, sliding_distance=d).distance == DETERMINED
     low, high = np.minimum(d[1:], d[:-1]), np.maximum(d[1:], d[:-1])
     for i in np.flatnonzero(answered)[::50]:
@@ -181,7 +186,7 @@ def test_determined_is_monotone_steep_and_unique():
     middle = 0.5 * (y[1:] + y[:-1])
 
     def where(q, slope):
-        return middle[determined(q, slope * y / q, y, 0.01)]
+        return middle[find_determined(q, slope * y / q, y, 0.01)]
 
     assert len(where(y**2, 2 * y)) == 2000
     assert not len(where(np.full_like(y, 3.0), np.zeros_like(y)))
@@ -200,14 +205,14 @@ def test_a_line_is_the_inverse_of_its_grid():
         line = Line.of(y, q, np.ones(100, bool))
         assert (np.diff(line.X) >= 0).all()
         assert np.interp(q, line.X, line.y) == pytest.approx(y, rel=1e-12)
-        assert line.covered(q.min(), q.max()) == pytest.approx(1.0)
+        assert line.measure_cover(q.min(), q.max()) == pytest.approx(1.0)
 
 
 def test_json_brings_it_back(exported):
     stored = json.loads(json.dumps(to_json_types(exported.predictor.as_dict())))
     back = Predictor.from_dict(stored)
-    v, mu_s = drawn(np.random.default_rng(3), BOX, 100)
-    F = readings(RIG, v, mu_s)["force"][0]
+    v, mu_s = draw_points(np.random.default_rng(3), BOX, 100)
+    F = compute_readings(RIG, v, mu_s)["force"][0]
     np.testing.assert_array_equal(back.predict(v, F), exported.predictor.predict(v, F))
 
 
