@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from importlib import resources
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from difffric.calibration.calibrate import Fit, fit
 from difffric.diagnosis.impossible_measurements import compute_lossless_bound
@@ -298,7 +298,7 @@ def compute_published_ratio() -> float:
 
 
 def combine_surrogates(
-    velocity: ArrayLike, peak_force: ArrayLike, sliding_distance: ArrayLike, ratio: float
+    velocity: NDArray, peak_force: NDArray, sliding_distance: NDArray, ratio: float
 ) -> NDArray:
     """Return mu_s (n,) by equations (4), (6) and (7) as published, in SI units."""
     mu_F = PUBLISHED_FORCE.mu_s(velocity, peak_force)
