@@ -224,8 +224,9 @@ def extended(rig: Rig, effects: Mapping[str, Mapping[str, Any]]) -> Rig:
         known = ", ".join([*CATALOGUE, RATIO])
         raise InputError(f"no such effect: {', '.join(unknown)}; known: {known}")
     if RATIO in effects:
-        where = lambda r: friction.innermost(r.friction).mu_k_over_mu_s  # noqa: E731
-        rig = eqx.tree_at(where, rig, effects[RATIO]["ratio"])
+        rig = eqx.tree_at(
+            lambda r: friction.innermost(r.friction).mu_k_over_mu_s, rig, effects[RATIO]["ratio"]
+        )
     for effect in _LIST:
         if effect.id in effects:
             rig = _around(rig, effect, effects[effect.id])

@@ -184,9 +184,7 @@ def curve_of(rig: Rig, form: str) -> Any:
 
 def with_coefficients(rig: Rig, new: dict[str, Any]) -> Rig:
     """The rig with the coefficients (SPLINES,) of some forms replaced."""
-    return eqx.tree_at(
-        lambda r: [curve_of(r, form).c for form in new], rig, list(new.values())
-    )  # fmt: skip
+    return eqx.tree_at(lambda r: [curve_of(r, form).c for form in new], rig, list(new.values()))
 
 
 def basis(form: str, scales: Scales, x: np.ndarray) -> np.ndarray:

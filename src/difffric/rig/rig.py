@@ -52,9 +52,7 @@ class Rig(eqx.Module):
     @property
     def all_laws(self) -> list[Any]:
         """Every law of it, those within others too."""
-        laws: list[Any] = [
-            self.friction, self.contact, self.pusher, self.force_sensor, self.probe,
-        ]  # fmt: skip
+        laws: list[Any] = [self.friction, self.contact, self.pusher, self.force_sensor, self.probe]
         for law in laws:
             if hasattr(law, "law"):
                 laws.append(law.law)
