@@ -12,16 +12,16 @@ from difffric.errors import InputError
 
 
 def read_bytes(path: str | os.PathLike) -> bytes:
-    """All of a file. Raises `InputError` where it cannot be read."""
+    """Read all of a file. Raises `InputError` where it cannot be read."""
     try:
-        with opened(path) as file:
+        with open_file(path) as file:
             return file.read()
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
 
 
-def opened(path: str | os.PathLike) -> IO[bytes]:
-    """The file, open for reading without a buffer. Raises `InputError` where it cannot be."""
+def open_file(path: str | os.PathLike) -> IO[bytes]:
+    """Open a file for reading, without a buffer. Raises `InputError` where it cannot be."""
     if Path(path).is_dir():
         raise InputError(f"{path}: expected a file, got a folder")
     try:

@@ -35,7 +35,7 @@ def check_data(
     """The data, forces in newtons, that can be used with the rig.
 
     A push's mass must be within 1 % of the rig's, unless `use_data_mass`; then, as always, the
-    push's wins. A force is not to be saturated (see `saturation`), unless `keep_saturated`.
+    push's wins. A force is not to be saturated (see `find_saturation`), unless `keep_saturated`.
     Recordings are read through once, by chunks; samples that are not finite are found so. With
     `skip_bad` pushes that fail are left out and told in `.skipped`.
 
@@ -66,7 +66,7 @@ def check_data(
     )
 
 
-def saturation(force: Channel, limit: float) -> float | None:
+def find_saturation(force: Channel, limit: float) -> float | None:
     """The level [N] at which a force is saturated, or None.
 
     It is where a sample reaches the sensor's `limit`, and where the extreme value stands in so
@@ -134,7 +134,7 @@ def _bad_samples(push: Recording, sensor: ForceSensor, keep_saturated: bool) -> 
     for channel in (push.position, push.pusher, push.force):
         try:
             if channel is push.force and channel is not None and not keep_saturated:
-                level = saturation(channel, float(sensor.range))
+                level = find_saturation(channel, float(sensor.range))
                 if level is not None:
                     problems.append(
                         f"force saturated at {level:.6g} N (the sensor's range is "

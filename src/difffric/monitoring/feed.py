@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from difffric.atomic_files import opened
+from difffric.atomic_files import open_file
 from difffric.errors import InputError
 from difffric.measurements.checks import check_data
 from difffric.measurements.files.tdms_reader import read_recordings
@@ -271,7 +271,7 @@ class Growth:
         if size == 0 or self._asked == (size, still):
             return self._found
         self._asked = size, still
-        with opened(self.path) as file:
+        with open_file(self.path) as file:
             groups = read_contents(file, size).groups
         last = next(reversed(groups), None)
         complete = {name: group.properties.get("complete") for name, group in groups.items()}

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from nptdms.timestamp import TdmsTimestamp
 
-from difffric.atomic_files import opened
+from difffric.atomic_files import open_file
 from difffric.errors import InputError
-from difffric.measurements.files.tdms_samples import OpenFile, Samples, scaling_of
+from difffric.measurements.files.tdms_samples import OpenFile, Samples, read_scaling
 from difffric.measurements.files.tdms_segments import Contents, TdmsObject, read_contents
 from difffric.measurements.quantities import (
     OF_RECORDING,
@@ -45,7 +45,7 @@ def read_recordings(path: str | os.PathLike, *, skip_bad: bool = False) -> Recor
     Raises `InputError` naming all that is wrong by group and channel. Samples are looked at when
     they are read: `Channel.read` raises `InputError` for one that is not finite.
     """
-    file = opened(path)
+    file = open_file(path)
     try:
         size = file.seek(0, os.SEEK_END)
         file.seek(0)
@@ -155,7 +155,7 @@ def _channel(
     if samples is not None and not twice and not _agree(samples, one):
         raise ValueError(f"wf_samples is {samples:g}, found {one.n} samples")
     to, divisor = units[unit.strip()]
-    scaling = scaling_of(says, group.properties, contents.root)
+    scaling = read_scaling(says, group.properties, contents.root)
     return Channel(one.n, dt, start, to, Samples(file, where, one, scaling, divisor).read)
 
 

@@ -142,7 +142,7 @@ class Samples:
             )
 
 
-def scaling_of(channel: Mapping, group: Mapping, root: Mapping) -> MultiScaling | None:
+def read_scaling(channel: Mapping, group: Mapping, root: Mapping) -> MultiScaling | None:
     """The scaling that the properties of a channel, its group and its file say, tried once.
 
     Raises `ValueError` where it makes no sense.

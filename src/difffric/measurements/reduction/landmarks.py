@@ -25,7 +25,7 @@ POINT = 5e-5
 """Time resolution of a search [s]; estimates use the samples themselves."""
 
 
-def search(channel: Channel, noise: Noise) -> Stretch:
+def coarsen(channel: Channel, noise: Noise) -> Stretch:
     """The whole channel at the resolution of a search. Raises `InputError` for NaN and inf."""
     most = max(1, int(channel.n * channel.dt / POINT))
     found = Stretch.of(channel, -np.inf, np.inf, noise, most)
@@ -204,7 +204,7 @@ def _sides(s, power):
 
 def find_rest(position: Channel, noise: Noise, velocity: float) -> LocalEstimate | None:
     """The rest position [m] and the time from which no motion is seen; None while it moves."""
-    coarse = search(position, noise)
+    coarse = coarsen(position, noise)
     n = len(coarse.t)
     still = count_still(coarse.y, coarse.noise)
     if still < 8:

@@ -17,7 +17,7 @@ from difffric.measurements.noise import LONGEST, Noise, estimate_quiet_noise, po
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Channel, Recording, Recordings
 from difffric.measurements.reduction.contacts import find_contacts
-from difffric.measurements.reduction.landmarks import find_peak, find_rest, find_slide, search
+from difffric.measurements.reduction.landmarks import coarsen, find_peak, find_rest, find_slide
 from difffric.measurements.reduction.release import find_release
 
 WITHOUT_CONTACT = "without contact: the force never rises above its noise"
@@ -124,7 +124,7 @@ def _with_force(
     if len(quiet) < 8:
         reasons.append("no quiet time: the force's zero is taken as read")
     level = float(np.mean(quiet)) if len(quiet) >= 8 else 0.0
-    coarse = search(force, noise)
+    coarse = coarsen(force, noise)
     contacts = find_contacts(force, coarse, level)
     out = replace(out, noise_force=noise, force_level=level)
     if not contacts:
