@@ -222,7 +222,7 @@ def _kind(x) -> tuple:
     return x.shape, x.dtype, getattr(x, "weak_type", False)
 
 
-def has_own_classes(args) -> bool:
+def has_own_classes(args: Any) -> bool:
     """Whether every node of a tree is of a class whose source a key knows of."""
     modules = set()
 

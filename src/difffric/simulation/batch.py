@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike, Float, Int8
+from jaxtyping import Array, ArrayLike, Float, Int8
 from numpy.typing import NDArray
 
 from difffric.compute.precision import require_float64
@@ -148,36 +148,13 @@ def _compile_batch(
     """The program for rigs of this structure whose `varying` leaves differ from push to push, with
     derivatives by these names, for so many tiles at most."""
     rig, integrator = jax.tree.unflatten(structure, range(structure.num_leaves))
-    known = (*parameters.names(rig), VELOCITY)
-    unknown = sorted(set(names) - set(known))
-    if unknown:
-        raise InputError(f"no such parameter: {', '.join(unknown)}; known: {', '.join(known)}")
+    _check_names(rig, names)
     fixed = [i for i in range(structure.num_leaves) if i not in varying]
 
     def push(shared, own):
         leaves = dict(zip(fixed, shared, strict=True)) | dict(zip(varying, own[1:], strict=True))
         rig, integrator = jax.tree.unflatten(structure, [leaves[i] for i in sorted(leaves)])
-        every = {**parameters.values(rig), VELOCITY: own[0]}
-        point = {name: every[name] for name in names}
-
-        def measure(point):
-            new = {name: value for name, value in point.items() if name != VELOCITY}
-            velocity = point.get(VELOCITY, own[0])
-            seen = observe(parameters.with_values(rig, new), velocity, integrator)
-            return (seen.peak_force, seen.sliding_distance), seen
-
-        along = [{n: jnp.full_like(x, n == name) for n, x in point.items()} for name in names]
-        if rig.pusher.stroke is None:
-            _, slopes, seen = jax.linearize(measure, point, has_aux=True)
-            by = [slopes(direction) for direction in along]
-        else:  # a loop over cycles, which `linearize` would run once more for each direction
-            found = [jax.jvp(measure, (point,), (d,), has_aux=True)[1:] for d in along]
-            by = [slope for slope, _ in found]
-            seen = found[0][1] if found else measure(point)[1]
-        exists = ~jnp.isnan(seen.sliding_distance)
-        codes = (code.astype(jnp.int8) for code in (seen.reason, seen.regime))
-        dF, dd = [dF for dF, _ in by], [jnp.where(exists, dd, jnp.nan) for _, dd in by]
-        return (seen.peak_force, seen.sliding_distance, *codes, *dF, *dd)
+        return _differentiate_push(rig, own[0], names, integrator)
 
     def tile(shared, block):
         return jax.vmap(push, (None, 0))(list(shared), list(block))
@@ -206,6 +183,41 @@ def _compile_batch(
         every = jax.jit(lambda given: whole(*given), compiler_options=options)
         call = every.lower(example).compile()
     return _BatchProgram(call, tuple(np.dtype(s.dtype) for s in shapes), tiles * _TILE)
+
+
+def _check_names(rig: Rig, names: Sequence[str]) -> None:
+    """Raise `InputError` for a name by which the rig has no derivative."""
+    known = (*parameters.names(rig), VELOCITY)
+    unknown = sorted(set(names) - set(known))
+    if unknown:
+        raise InputError(f"no such parameter: {', '.join(unknown)}; known: {', '.join(known)}")
+
+
+def _differentiate_push(
+    rig: Rig, velocity: Array, names: Sequence[str], integrator: Integrator | None
+) -> tuple[Array, ...]:
+    """F_p, d, reason and regime of one push, then F_p's derivatives by these names and d's."""
+    every = {**parameters.values(rig), VELOCITY: velocity}
+    point = {name: every[name] for name in names}
+
+    def measure(point):
+        new = {name: value for name, value in point.items() if name != VELOCITY}
+        speed = point.get(VELOCITY, velocity)
+        seen = observe(parameters.with_values(rig, new), speed, integrator)
+        return (seen.peak_force, seen.sliding_distance), seen
+
+    along = [{n: jnp.full_like(x, n == name) for n, x in point.items()} for name in names]
+    if rig.pusher.stroke is None:
+        _, slopes, seen = jax.linearize(measure, point, has_aux=True)
+        by = [slopes(direction) for direction in along]
+    else:  # a loop over cycles, which `linearize` would run once more for each direction
+        found = [jax.jvp(measure, (point,), (d,), has_aux=True)[1:] for d in along]
+        by = [slope for slope, _ in found]
+        seen = found[0][1] if found else measure(point)[1]
+    exists = ~jnp.isnan(seen.sliding_distance)
+    codes = (code.astype(jnp.int8) for code in (seen.reason, seen.regime))
+    dF, dd = [dF for dF, _ in by], [jnp.where(exists, dd, jnp.nan) for _, dd in by]
+    return (seen.peak_force, seen.sliding_distance, *codes, *dF, *dd)
 
 
 def _may_be_one_piece(rig, integrator) -> bool:

@@ -81,7 +81,7 @@ class ClosedForm(eqx.Module):
                 "leave the integrator out, or give integrator=Diffrax()"
             )
 
-    def breakaway(self, rig: Rig, v_p: Number) -> Float[Array, ""]:
+    def find_breakaway(self, rig: Rig, v_p: Number) -> Float[Array, ""]:
         """Compression [m] at which a part at rest starts to slide; 0: at once."""
         at_touch = rig.contact.approach(0.0, v_p)
         stiffness = _slope(lambda z: rig.contact.approach(z, v_p))
@@ -89,7 +89,7 @@ class ClosedForm(eqx.Module):
         sticks = F_S > at_touch
         return jnp.where(sticks, (F_S - at_touch) * quotient(1.0, stiffness), 0.0)
 
-    def closing(
+    def follow_closing(
         self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number, may_halt: bool
     ) -> Leg:
         """The tip closes in on the part, until w = 0, the part halts or the pusher stops."""
@@ -145,7 +145,7 @@ class ClosedForm(eqx.Module):
         at_end = jnp.where(jnp.isinf(dt), 0.0, k * end[0] + b * end[1])
         return N_e + jnp.where(inside, summit, jnp.where(at_end > N, at_end, N))
 
-    def rebounding(self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number) -> Leg:
+    def follow_rebounding(self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number) -> Leg:
         """The part recedes from the tip, until release, w = 0 or the pusher's stop."""
         osc, z_e = _oscillator(rig.rebounding, v_p)
         xi, w = z - z_e, v_p - u
@@ -171,7 +171,7 @@ class ClosedForm(eqx.Module):
         u_1 = jnp.where(event == Event.TURN, v_p, v_p - dp)
         return Leg(dt, event, z_1, u_1, 0.0, 0.0)
 
-    def free(
+    def follow_free(
         self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number, may_catch: bool
     ) -> Leg:
         """The part slides without contact, until rest, the pusher's stop or the next contact."""

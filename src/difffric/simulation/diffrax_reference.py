@@ -163,7 +163,7 @@ class Diffrax(eqx.Module):
                 f"diffrax.Tsit5(), not {type(self.solver).__name__}"
             )
 
-    def breakaway(self, rig: Rig, v_p: Number) -> Float[Array, ""]:
+    def find_breakaway(self, rig: Rig, v_p: Number) -> Float[Array, ""]:
         """Compression [m] at which a part at rest starts to slide; 0: at once."""
         F_S = rig.friction.breakaway(rig.F_N)
         dynamic, static = eqx.partition((rig.contact, v_p, F_S), _is_number)
@@ -179,7 +179,7 @@ class Diffrax(eqx.Module):
         z = find_falling_root(lack, dynamic, 0.0, far, 0.5 * far)
         return jnp.where(sticks, jnp.where(far < LARGEST_COMPRESSION, z, jnp.inf), 0.0)
 
-    def closing(
+    def follow_closing(
         self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number, may_halt: bool
     ) -> Leg:
         """The tip closes in on the part, until w = 0, the part halts or the pusher stops."""
@@ -202,7 +202,7 @@ class Diffrax(eqx.Module):
         peak = jnp.where((top.t + h <= dt) & (N_top > peak), N_top, peak)
         return self._check_leg(progress, Leg(dt, event, z_1, u_1, 0.0, peak))
 
-    def rebounding(self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number) -> Leg:
+    def follow_rebounding(self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number) -> Leg:
         """The part recedes from the tip, until release, w = 0 or the pusher's stop."""
         motion = _ScaledMotion.of(rig, "rebound", v_p)
         progress = self._follow_leg(
@@ -222,7 +222,7 @@ class Diffrax(eqx.Module):
         u_1 = jnp.where(event == Event.TURN, v_p, u_1)
         return self._check_leg(progress, Leg(dt, event, z_1, u_1, 0.0, 0.0))
 
-    def free(
+    def follow_free(
         self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number, may_catch: bool
     ) -> Leg:
         """The part slides without contact, until rest, the pusher's stop or the next contact.

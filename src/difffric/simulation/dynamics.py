@@ -19,8 +19,8 @@ from difffric.simulation.events import Event, Mode
 from difffric.units import GRAVITY
 
 SMALLEST_COMPRESSION, LARGEST_COMPRESSION = 1e-9, 1e3
-"""Compressions [m] between which one is looked for that carries a force: no part is softer than a
-kilometre, and no contact stiffer than a nanometre under the weight of what is pushed."""
+"""Compressions [m] between which one that carries a force is looked for: far beyond what a contact
+does at either end."""
 
 
 class PhasePoint(NamedTuple):

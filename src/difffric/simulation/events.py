@@ -10,9 +10,9 @@ from __future__ import annotations
 from enum import IntEnum
 
 MAX_CONTACTS = 16
-"""A push of more contacts is not followed to its end; the paper's pushes have one or two."""
+"""A push of more contacts is not followed to its end, here and in the tests' own references."""
 MAX_CYCLES = 1000
-"""Turns through the modes after which a push in closed form is given up; it takes a handful."""
+"""Turns through the modes after which a push is given up; one of a single contact takes one."""
 
 
 class _Code(IntEnum):

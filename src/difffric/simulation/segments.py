@@ -86,21 +86,21 @@ class Integrator(Protocol):
         """Raise `InputError` where it does not serve the rig."""
         ...
 
-    def breakaway(self, rig: Rig, v_p: Number) -> Float[Array, ""]:
+    def find_breakaway(self, rig: Rig, v_p: Number) -> Float[Array, ""]:
         """The compression [m] at which a part at rest starts to slide; 0: at once."""
         ...
 
-    def closing(
+    def follow_closing(
         self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number, may_halt: bool
     ) -> Leg:
         """The tip closes in on the part, until it turns, halts or the pusher stops."""
         ...
 
-    def rebounding(self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number) -> Leg:
+    def follow_rebounding(self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number) -> Leg:
         """The part recedes from the tip, until release, turn or the pusher's stop."""
         ...
 
-    def free(
+    def follow_free(
         self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number, may_catch: bool
     ) -> Leg:
         """The part slides without contact, until rest, the pusher's stop or the next contact."""
@@ -151,7 +151,7 @@ class Push(NamedTuple):
         velocity = jnp.asarray(self.velocity, float)
         return State(
             segment=Segment(jnp.asarray(Mode.STUCK), zero, zero, velocity, zero, zero),
-            stuck_first=self.integrator.breakaway(self.rig, velocity) > 0,
+            stuck_first=self.integrator.find_breakaway(self.rig, velocity) > 0,
             contacts=one,
             sticks=jnp.asarray(0),
             moved=no,
@@ -192,7 +192,7 @@ class Push(NamedTuple):
 
     def _wait_stuck(self, state: State) -> State:
         s, rig = state.segment, self.rig
-        z_b = self.integrator.breakaway(rig, s.v_p)
+        z_b = self.integrator.find_breakaway(rig, s.v_p)
         left = self._time_left(s)
         wait = (z_b - s.z) / s.v_p
         breaks = wait <= left
@@ -216,7 +216,9 @@ class Push(NamedTuple):
 
     def _close(self, state: State) -> State:
         s = state.segment
-        leg = self.integrator.closing(self.rig, s.z, s.u, s.v_p, self._time_left(s), not self.once)
+        leg = self.integrator.follow_closing(
+            self.rig, s.z, s.u, s.v_p, self._time_left(s), not self.once
+        )
         higher = ~(leg.peak <= state.peak)  # so that a peak that is no number shows
         mode = jnp.where(leg.event == Event.HALT, Mode.STUCK, Mode.REBOUNDING)
         never = leg.event == Event.NONE
@@ -230,7 +232,7 @@ class Push(NamedTuple):
 
     def _rebound(self, state: State) -> State:
         s = state.segment
-        leg = self.integrator.rebounding(self.rig, s.z, s.u, s.v_p, self._time_left(s))
+        leg = self.integrator.follow_rebounding(self.rig, s.z, s.u, s.v_p, self._time_left(s))
         turned = jnp.where(s.v_p > 0, Mode.CLOSING, Mode.STUCK)
         mode = jnp.where(
             leg.event == Event.RELEASE,
@@ -252,7 +254,9 @@ class Push(NamedTuple):
 
     def _slide(self, state: State) -> State:
         s = state.segment
-        leg = self.integrator.free(self.rig, s.z, s.u, s.v_p, self._time_left(s), not self.once)
+        leg = self.integrator.follow_free(
+            self.rig, s.z, s.u, s.v_p, self._time_left(s), not self.once
+        )
         caught = leg.event == Event.CATCH
         mode = jnp.where(
             caught, Mode.CLOSING, jnp.where(leg.event == Event.HALT, Mode.STUCK, Mode.FREE)

@@ -319,7 +319,7 @@ def test_breakaway_is_the_laws_own():
 
     def breakaway(mu_s, velocity):
         moved = Rig(rig.mass, Stribeck(mu_s, 0.1, 0.05), rig.contact)
-        return Diffrax().breakaway(moved, velocity)
+        return Diffrax().find_breakaway(moved, velocity)
 
     z_b = ((0.2 * 10 * G - 500 * 0.01) / 2e8) ** (1 / 1.5)
     value, slope = jax.jvp(lambda mu: breakaway(mu, 0.01), (0.2,), (1.0,))

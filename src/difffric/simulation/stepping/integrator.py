@@ -12,7 +12,8 @@ from difffric.simulation.dynamics import Motion, find_compression
 from difffric.simulation.stepping.loop import MAX_STEPS, StepLoop
 
 _DEEP = 3
-"""Effects around a rig's laws beyond which a step written out takes too long to compile."""
+"""Effects around a rig's laws beyond which the stages of a step are looped over: that compiles
+sooner and runs 1.4 times slower (decision 7)."""
 
 
 class RungeKutta(eqx.Module):

@@ -30,7 +30,7 @@ from difffric.simulation.stepping.step_plan import StepPlan, StepStart, plan_ste
 from difffric.simulation.stepping.transitions import STEADY, Rules
 
 MAX_STEPS = 20_000
-"""Steps after which a push is given up; the paper's take some hundred."""
+"""Steps after which a push is given up, so that laws that make no sense come to an end too."""
 _LOST = 1e-13  # of the push's own time: a step as short as this no longer moves it
 _CLOSE = 1e-4  # of a free step: an event this near to the end is reached by the Taylor step
 

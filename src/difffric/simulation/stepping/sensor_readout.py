@@ -20,7 +20,7 @@ from difffric.simulation.stepping.dense_output import OnePole, Stride, sum_power
 _LOOKS = np.linspace(0.0, 1.0, 9)
 """Shares of a stride between which its highest filtered force is looked for."""
 _KEPT = 32
-"""Strides that a lagging channel is looked up in: more than a channel's delay lasts."""
+"""Strides back in which a lagging channel is looked up; beyond them the oldest is read."""
 
 
 class SensorReadout(NamedTuple):
