@@ -56,8 +56,11 @@ COMMANDS = {
     "identify fleet": ["identify", "{archive}"],
     "diagnose fleet": ["diagnose", "{archive}"],
 }
-OWN_TO_A_RUN = {"answered_after_s", "seconds", "source", "version", "versions", "written", "date"}
-"""Keys of a result that say when, how long or with which version, and so differ between runs."""
+OWN_TO_A_RUN = frozenset(
+    ["answered_after_s", "date", "key", "seconds", "source", "version", "versions", "written"]
+)
+"""Keys of a result that say when, how long or with which version, and so differ between runs; `key`
+is a fleet's digest of its files, of which their time is a part."""
 ALARM = 3
 """Exit status of a monitor that found something."""
 

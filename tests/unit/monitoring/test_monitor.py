@@ -7,6 +7,7 @@ test is about that.
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from scipy import stats
 import difffric as df
 from difffric.errors import InputError
 from difffric.monitoring import shiryaev_roberts
+from difffric.monitoring.alarms import Alarm
 from difffric.monitoring.baseline import Baseline, Spread
 from difffric.monitoring.change_cause import conclude
 from difffric.monitoring.change_point import find_change
@@ -324,3 +326,21 @@ def test_a_push_that_cannot_be_identified_is_counted_and_harmless():
 def test_arl_below_sense_is_refused():
     with pytest.raises(InputError, match="--arl: expected at least 20 pushes, got 5"):
         Monitor(setup(), arl=5)
+
+
+def test_an_alarm_stands_in_a_state_file_as_it_always_did():
+    """Lists of numbers in a fixed order, null for what was not measured or is not known."""
+    one = [0.05, None, None, [0.5, None], -1.9, None, [1e-4, None], [1.0, 0.7], [3.0, 0.0]]
+    two = [0.05, 18.9, 1e-3, [0.5, 3e-7], -1.9, 0.2, [1e-4, 0.1], [1.0, 0.7], [3.0, 2.0]]
+    saved = {
+        "push": 31,
+        "change": 25,
+        "kind": "step",
+        "direction": "friction up",
+        "settings": {"1": one, "2": two},
+        "after": [["1", -1.8, 2e-4, None], ["2", -1.8, 2e-4, 0.3]],
+    }
+    alarm = Alarm.read(saved)
+    assert alarm.settings["1"].sigma == (0.5, math.inf) and math.isnan(alarm.settings["1"].mass)
+    assert alarm.settings["2"].stroke == 1e-3 and alarm.after[1].contrast == 0.3
+    assert alarm.as_dict() == saved
