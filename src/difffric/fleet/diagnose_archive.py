@@ -90,9 +90,15 @@ def diagnose_fleet(
         found = combine(answers.values())
         excess, asked = _ask_members(rigs, found, run, tell)
     return FleetDiagnosis(
-        out, answers, found, excess, find_different(found, excess), tuple(sorted(bad.items())),
-        len(new), asked,
-    )  # fmt: skip
+        folder=out,
+        answers=answers,
+        found=found,
+        excess=excess,
+        differ=find_different(found, excess),
+        bad=tuple(sorted(bad.items())),
+        fresh=len(new),
+        asked=asked,
+    )
 
 
 def _ask_members(rigs, found: Combined, run: Runner, tell: Tell) -> tuple[dict, int]:

@@ -151,9 +151,12 @@ def combine(answers: Iterable[Mapping]) -> Combined:
         own = [(rig, e) for rig, e in own if e != weak.effect]
     ordered = sorted(rows.values(), key=_sort_key)
     return Combined(
-        tuple(ordered), tuple(shared), tuple(own),
-        tuple(rig for rig in every if rig not in good), tuple(every),
-    )  # fmt: skip
+        rows=tuple(ordered),
+        shared=tuple(shared),
+        own=tuple(own),
+        unexplained=tuple(rig for rig in every if rig not in good),
+        diagnosed=tuple(every),
+    )
 
 
 def find_different(
@@ -212,9 +215,15 @@ def _make_row(answers: Mapping[str, Mapping], effect: str, candidates: int) -> R
     p = [min(1.0, candidates * sum_evidence(drops, numbers, u)) if drops else 1.0 for u in (1, 2)]
     level = SIGNIFICANT / candidates
     return Row(
-        effect, marks, p_values, float(sum(drops)), int(sum(numbers)), p[0], p[1],
-        count_sharing(drops, numbers, level),
-    )  # fmt: skip
+        effect=effect,
+        marks=marks,
+        p_values=p_values,
+        chi2=float(sum(drops)),
+        freedom=int(sum(numbers)),
+        p_value=p[0],
+        p_value_two=p[1],
+        at_least=count_sharing(drops, numbers, level),
+    )
 
 
 def _mark(diagnosis: Mapping, effect: str) -> str | None:

@@ -68,9 +68,14 @@ def start_workers(n: int = 1, scheduler: str | None = None) -> Iterator[Runner]:
         if scheduler is None:
             local: Any = distributed.LocalCluster
             cluster = local(
-                n_workers=n, threads_per_worker=1, processes=True, dashboard_address=None,
-                memory_limit=0, env={**_copy_settings(), **ONE_THREAD}, silence_logs=50,
-            )  # fmt: skip
+                n_workers=n,
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address=None,
+                memory_limit=0,
+                env={**_copy_settings(), **ONE_THREAD},
+                silence_logs=50,
+            )
         client = distributed.Client(cluster or scheduler, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
         words = " ".join(str(error).split())

@@ -138,10 +138,14 @@ class Monitor:
         """
         content = content or digest_recording(recording)
         said: dict[str, Any] = {
-            "mass": recording.mass, "stroke": recording.stroke, "condition": recording.condition,
-            "order": recording.order, "name": recording.name, "source": source,
+            "mass": recording.mass,
+            "stroke": recording.stroke,
+            "condition": recording.condition,
+            "order": recording.order,
+            "name": recording.name,
+            "source": source,
             "content": content,
-        }  # fmt: skip
+        }
         self.check(source, recording.name, content, recording.order)
         try:
             alone = check_data(Recordings((recording,)), self.setup.rig, use_data_mass=True)

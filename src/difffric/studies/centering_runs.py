@@ -109,9 +109,12 @@ def run_rings(
         hidden = parameters.with_values(rig, {"mu_s": ring.mu_s})
         for way in ways:
             machine = SimulatedMachine(
-                hidden, ring.offset, np.random.default_rng(ring.seed), drift=drift,
+                hidden,
+                ring.offset,
+                np.random.default_rng(ring.seed),
+                drift=drift,
                 scatter=known.mu_s.scatter if scatter is None else scatter,
-            )  # fmt: skip
+            )
             watched = _WatchedMachine(machine)
             if way == OURS or rivals is None:
                 found = centre(watched, known, verify=verify)

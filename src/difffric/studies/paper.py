@@ -260,9 +260,15 @@ def study(progress: Tell = silent) -> Paper:
     diagnosis = diagnose(rig, measured, held_out="speed")
     progress("done", 1.0)
     return Paper(
-        measured, calibration, on_all, strokes, identified, identified_on_all,
-        family(calibration.rig), diagnosis,
-    )  # fmt: skip
+        pushes=measured,
+        calibration=calibration,
+        on_all=on_all,
+        strokes=strokes,
+        identified=identified,
+        identified_on_all=identified_on_all,
+        families=family(calibration.rig),
+        diagnosis=diagnosis,
+    )
 
 
 def bound_distance(measured: Pushes, ratio: float = 0.75) -> NDArray:
