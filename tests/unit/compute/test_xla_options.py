@@ -15,6 +15,6 @@ def test_a_program_compiled_soon_gives_the_same_numbers(monkeypatch):
     x = jnp.linspace(0.0, 1.0, 7)
     assert np.allclose(xla_options.compile_soon(f)(x, 2), f(x, 2), rtol=1e-14)
     unknown = {"no_such_option": False}
-    monkeypatch.setattr(xla_options, "_OPTIONS", unknown)
+    monkeypatch.setattr(xla_options, "_SOON", unknown)
     assert xla_options.keep_known_options(unknown) is None
     assert np.allclose(xla_options.compile_soon(f)(x, 3), f(x, 3), rtol=1e-14)
