@@ -14,7 +14,7 @@ HERE = Path(__file__).parent
 project = "difffric"
 author = "the difffric authors"
 language = "en"
-extensions = ["sphinx.ext.autodoc", "myst_nb"]
+extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon", "myst_nb"]  # napoleon: "Arguments:"
 
 root_doc = "README"
 include_patterns = [
