@@ -97,7 +97,7 @@ def test_no_speed_is_judged_by_a_calibration_that_saw_it(study):
     impossible = measured.sliding_distance > paper.bound_distance(measured)
     blind = df.fit(
         paper.guess_rig(),
-        paper._hidden(measured, judged, impossible | judged).select(~judged),
+        paper._hide(measured, judged, impossible | judged).select(~judged),
     )
     ratio = study.families.range_ratio
     answer = df.identify(blind, measured.select(judged), range_ratio=ratio)
