@@ -23,7 +23,7 @@ TARGETS = {"20 um": 20e-6, "1 mm": 1e-3}
 
 
 def _difffric(target):
-    known = Known(model.rig(), df.Belief.normal(MU_S, 0.015, scatter=0.015))
+    known = Known(model.rig(), df.centering.Belief.normal(MU_S, 0.015, scatter=0.015))
 
     def call():
         return [plan(known, target).next.probability]

@@ -1,3 +1,4 @@
+from . import planning as planning
 from .belief import Belief as Belief
 from .landing import find_landings as find_landings
 from .loop import centre as centre

@@ -9,8 +9,7 @@ the folder that `--out` names.
   progress, prints tables and writes the folder; `live_view` shows pushes while they are recorded.
 - `reports` turns what was found into result.json and a page, `figures` into pictures.
 
-A new command is a function in a module of its own, a line in `main.COMMANDS`, and a report. Its
-imports stand at the top. Only what one call in many needs is imported inside a function, with a
-word that says so: data frames for a fleet, matplotlib through `figures`, which loads it on first
-use.
+A new command is a function in a module of its own, a line in `main.COMMANDS`, and a report. It calls
+the library by its public face, `import difffric as df`, and its report through `reports`: both load
+their parts on first use, so that imports stand at the top and a command's help comes at once.
 """

@@ -7,14 +7,12 @@ from typing import Annotated
 
 import typer
 
-from difffric.acquisition.card import open_card
+import difffric as df
+from difffric.commands import reports
 from difffric.commands.console import check_out, print_and_write
 from difffric.commands.options import Out, Quiet, require_positive
-from difffric.commands.reports import acquire as answers
 from difffric.errors import InputError
 from difffric.output_folder import open_folder
-from difffric.rig.setup_toml import read_setup
-from difffric.studies.simulated_rig import make_simulated_card
 from difffric.units import from_mm
 
 
@@ -47,20 +45,20 @@ def acquire(
     if simulate is not None and setup is not None:
         raise InputError("--setup is for a card: --simulate has its set-up")
     file = simulate or setup
-    known, truth = None if file is None else read_setup(file), []
+    known, truth = None if file is None else df.read_setup(file), []
     if known is not None and simulate is not None:
-        card, truth = make_simulated_card(known, rate_hz, seed)
+        card, truth = df.studies.simulated_rig.make_simulated_card(known, rate_hz, seed)
     else:
-        card = open_card(bitfile, resource)
+        card = df.acquisition.open_card(bitfile, resource)
     stroke = None if stroke_mm is None else from_mm(stroke_mm)
     if stroke is None and known is not None:
         stroke = known.rig.pusher.stroke
     mass = float("nan") if known is None else float(known.rig.mass)
-    pushes = answers.plan_commands(velocity_mm_min or (), stroke=stroke, mass=mass)
+    pushes = reports.acquire.plan_commands(velocity_mm_min or (), stroke=stroke, mass=mass)
     with open_folder(out or Path()) as folder, card as session:
-        run = answers.record(session, pushes, folder, setup=known, quiet=quiet, plot=plot)
-    note = answers.NO_STROKE if stroke is None else None
+        run = reports.acquire.record(session, pushes, folder, setup=known, quiet=quiet, plot=plot)
+    note = reports.acquire.NO_STROKE if stroke is None else None
     seeded = None if simulate is None else seed
-    answer = answers.describe_run(run, truth=truth, seed=seeded, stroke=note)
-    print_and_write(answers.report_run(answer, run, pictures=out is not None), answer, out)
-    answers.require_all_samples(run)
+    answer = reports.acquire.describe_run(run, truth=truth, seed=seeded, stroke=note)
+    print_and_write(reports.acquire.report_run(answer, run, pictures=out is not None), answer, out)
+    reports.acquire.require_all_samples(run)

@@ -7,14 +7,10 @@ from typing import Annotated
 
 import typer
 
-from difffric.centering.belief import Belief
-from difffric.centering.planning import SCATTER, Known
+import difffric as df
+from difffric.commands import reports
 from difffric.commands.console import check_out, print_and_write, show_progress
 from difffric.commands.options import Out, Quiet, Setup, require_positive
-from difffric.commands.reports import centre as answers
-from difffric.rig.setup_toml import load_setup, read_setup
-from difffric.studies.centering_runs import OFFSETS, OURS, draw_rings, run_rings
-from difffric.studies.other_centering import RIVALS
 from difffric.units import from_um
 
 
@@ -39,27 +35,28 @@ def centre(
     """Centre rings whose friction nobody knows, and report pushes and errors of each way."""
     check_out(out)
     require_positive("--offset-um", offset_um)
-    said = read_setup(setup)
-    hidden = None if truth is None else load_setup(truth)
-    known = Known.of(
-        said, Belief.uniform(mu_s_from, mu_s_to, SCATTER, drift=abs(drift_percent) / 100)
-    )
-    own = OFFSETS[0] if offset_um is None else from_um(offset_um)
-    offsets = OFFSETS if offset_um is None else (own, own)
-    those = draw_rings(rings, seed, (mu_s_from, mu_s_to), offsets)
+    said = df.read_setup(setup)
+    hidden = None if truth is None else df.load_setup(truth)
+    scatter, drift = df.centering.planning.SCATTER, abs(drift_percent) / 100
+    belief = df.centering.Belief.uniform(mu_s_from, mu_s_to, scatter, drift=drift)
+    known = df.centering.Known.of(said, belief)
+    runs = df.studies.centering_runs
+    own = runs.OFFSETS[0] if offset_um is None else from_um(offset_um)
+    offsets = runs.OFFSETS if offset_um is None else (own, own)
+    those = runs.draw_rings(rings, seed, (mu_s_from, mu_s_to), offsets)
     with show_progress(quiet) as tell:
         found = list(
-            run_rings(
+            runs.run_rings(
                 known,
                 those,
                 truth=hidden,
-                ways=(OURS,) if alone else (OURS, *RIVALS),
+                ways=(runs.OURS,) if alone else (runs.OURS, *df.studies.other_centering.RIVALS),
                 drift=drift_percent / 100,
                 verify=verify,
                 tell=tell,
             )
         )
         tell("drawing", 0.99)
-        answer = answers.describe_centering(found, known, seed)
-        report = answers.report_centering(answer, found, known, pictures=out is not None)
+        answer = reports.centre.describe_centering(found, known, seed)
+        report = reports.centre.report_centering(answer, found, known, pictures=out is not None)
     print_and_write(report, answer, out)

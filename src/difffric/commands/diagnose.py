@@ -7,6 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
+import difffric as df
+from difffric.commands import reports
 from difffric.commands.console import check_out, check_setup_stays, print_and_write, show_progress
 from difffric.commands.fleet_options import (
     Archive,
@@ -18,11 +20,7 @@ from difffric.commands.fleet_options import (
     is_fleet,
 )
 from difffric.commands.options import DataMass, Out, Quiet, SkipBad
-from difffric.commands.reports import diagnose as answers
-from difffric.diagnosis.procedure import diagnose as diagnose_pushes
 from difffric.errors import InputError
-from difffric.measurements.load_file import load
-from difffric.rig.setup_toml import format_setup, read_setup
 
 
 def diagnose(
@@ -50,9 +48,9 @@ def diagnose(
         return _diagnose_fleet(data, setup, workers, scheduler, out, quiet, options)
     file = check_setup(setup, data)
     check_setup_stays(out, file)
-    rig, loaded = read_setup(file), load(data, skip_bad=skip_bad)
+    rig, loaded = df.read_setup(file), df.load(data, skip_bad=skip_bad)
     with show_progress(quiet) as tell:
-        found = diagnose_pushes(
+        found = df.diagnose(
             rig,
             loaded,
             negligible=negligible,
@@ -62,8 +60,8 @@ def diagnose(
             tell=tell,
         )
         tell("drawing", 0.99)
-        report = answers.report_diagnosis(found, pictures=out is not None)
-        files = None if out is None else {"setup.toml": format_setup(found.setup).encode()}
+        report = reports.diagnose.report_diagnosis(found, pictures=out is not None)
+        files = None if out is None else {"setup.toml": df.rig.format_setup(found.setup).encode()}
     print_and_write(report, found.as_dict(), out, files)
 
 
@@ -78,15 +76,8 @@ def _diagnose_fleet(
 ) -> None:
     """Report what the rigs of an archive share and which of them differ, into the folder."""
     folder = check_fleet(data, workers, scheduler, out)
-    # Here, as one rig's pushes need no data frames: 0.2 s.
-    from difffric.commands.reports.fleet_diagnosis import (
-        describe_fleet_diagnosis,
-        report_fleet_diagnosis,
-    )
-    from difffric.fleet.diagnose_archive import diagnose_fleet
-
     with show_progress(quiet) as tell:
-        found = diagnose_fleet(
+        found = df.diagnose_fleet(
             data,
             folder,
             setup=setup,
@@ -96,5 +87,6 @@ def _diagnose_fleet(
             **options,
         )
         tell("drawing", 1.0)
-        report = report_fleet_diagnosis(found, pictures=True)
-    print_and_write(report, describe_fleet_diagnosis(found), folder)
+        report = reports.fleet_diagnosis.report_fleet_diagnosis(found, pictures=True)
+    answer = reports.fleet_diagnosis.describe_fleet_diagnosis(found)
+    print_and_write(report, answer, folder)

@@ -7,13 +7,11 @@ from typing import Annotated
 
 import typer
 
+import difffric as df
+from difffric.commands import reports
 from difffric.commands.console import check_out, print_and_write, show_progress
 from difffric.commands.options import Quiet, Setup, load_rig, require_positive
-from difffric.commands.reports.export import describe_predictor, render_files, report_predictor
 from difffric.errors import InputError
-from difffric.identification.controller.fitting import check, fit_predictor
-from difffric.identification.controller.predictor import Box
-from difffric.rig import parameters
 from difffric.units import from_mm_min
 
 
@@ -46,13 +44,17 @@ def export(
     require_positive("--most-mu-s", most_mu_s)
     rig = load_rig(setup, stroke_mm=stroke_mm)
     if no_stroke:
-        rig = parameters.with_stroke(rig, None)
-    box = Box(from_mm_min(slowest_mm_min), from_mm_min(fastest_mm_min), least_mu_s, most_mu_s)
-    check(rig, box, max_error, least_elasticity)
+        rig = df.rig.parameters.with_stroke(rig, None)
+    controller = df.identification.controller
+    box = controller.predictor.Box(
+        from_mm_min(slowest_mm_min), from_mm_min(fastest_mm_min), least_mu_s, most_mu_s
+    )
+    controller.fitting.check(rig, box, max_error, least_elasticity)
     with show_progress(quiet) as tell:
-        found = fit_predictor(
+        found = df.identification.fit_predictor(
             rig, box, max_error=max_error, least_elasticity=least_elasticity, tell=tell
         )
         tell("writing", 0.95)
-        report, files = report_predictor(found, rig), render_files(found, rig)
-    print_and_write(report, describe_predictor(found, rig), out, files)
+        report = reports.export.report_predictor(found, rig)
+        files = reports.export.render_files(found, rig)
+    print_and_write(report, reports.export.describe_predictor(found, rig), out, files)

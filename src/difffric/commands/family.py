@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import difffric as df
+from difffric.commands import reports
 from difffric.commands.console import check_out, print_and_write, show_progress
 from difffric.commands.options import Out, Quiet, Setup, load_rig
-from difffric.commands.reports.family import describe_family, report_family
-from difffric.simulation.families import family as simulate_family
 
 
 def family(setup: Setup, out: Out = None, quiet: Quiet = False) -> None:
@@ -14,6 +14,6 @@ def family(setup: Setup, out: Out = None, quiet: Quiet = False) -> None:
     rig = load_rig(setup)
     with show_progress(quiet) as tell:
         tell("simulating 494 pushes", 0.0)
-        grid = simulate_family(rig)
-    answer = describe_family(grid)
-    print_and_write(report_family(answer, grid, rig), answer, out)
+        grid = df.family(rig)
+    answer = reports.family.describe_family(grid)
+    print_and_write(reports.family.report_family(answer, grid, rig), answer, out)

@@ -6,14 +6,11 @@ from typing import Annotated
 
 import typer
 
-from difffric.calibration.calibrate import fit as calibrate
+import difffric as df
+from difffric.commands import reports
 from difffric.commands.console import check_out, check_setup_stays, print_and_write, show_progress
 from difffric.commands.options import Data, DataMass, Out, Quiet, SetupOption, SkipBad
-from difffric.commands.reports import fit as answers
 from difffric.errors import InputError
-from difffric.measurements.load_file import load
-from difffric.measurements.recordings import Recordings
-from difffric.rig.setup_toml import format_setup, read_setup
 
 
 def fit(
@@ -52,14 +49,14 @@ def fit(
     """Calibrate on the data and report parameters, errors and what stays open."""
     check_out(out)
     check_setup_stays(out, setup)
-    rig, loaded = read_setup(setup), load(data, skip_bad=skip_bad)
-    if robust and isinstance(loaded, Recordings):
+    rig, loaded = df.read_setup(setup), df.load(data, skip_bad=skip_bad)
+    if robust and isinstance(loaded, df.Recordings):
         raise InputError(
             f"--robust: {data}: expected a table; recordings are fitted sample by sample"
         )
     chosen = ["mu_s"] if per_condition is None else [x for x in per_condition if x != "none"]
     with show_progress(quiet) as tell:
-        found = calibrate(
+        found = df.fit(
             rig,
             loaded,
             free=free or None,
@@ -72,9 +69,13 @@ def fit(
             use_data_mass=use_data_mass,
             skip_bad=skip_bad,
         )
-        answer = answers.Answer.of(found)
-        answer = answers.add_more(answer, profile, next_push, tell)
+        answer = reports.fit.Answer.of(found)
+        answer = reports.fit.add_more(answer, profile, next_push, tell)
         tell("drawing", 0.99)
-        report = answers.report_fit(answer, pictures=out is not None)
-        files = None if out is None else {"setup.toml": format_setup(found.fitted_setup).encode()}
+        report = reports.fit.report_fit(answer, pictures=out is not None)
+        files = (
+            None
+            if out is None
+            else {"setup.toml": df.rig.format_setup(found.fitted_setup).encode()}
+        )
     print_and_write(report, answer.as_dict(), out, files)

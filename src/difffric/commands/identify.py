@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import difffric as df
+from difffric.commands import reports
 from difffric.commands.console import check_out, print_and_write, show_progress
 from difffric.commands.fleet_options import (
     Archive,
@@ -15,10 +17,6 @@ from difffric.commands.fleet_options import (
     is_fleet,
 )
 from difffric.commands.options import DataMass, Out, Quiet, SkipBad
-from difffric.commands.reports import identify as answers
-from difffric.identification.estimators import identify as identify_pushes
-from difffric.measurements.load_file import load
-from difffric.rig.setup_toml import read_setup
 
 
 def identify(
@@ -35,13 +33,11 @@ def identify(
     check_out(out)
     if is_fleet(data, workers, scheduler):
         return _identify_fleet(data, setup, use_data_mass, workers, scheduler, out, quiet)
-    rig, loaded = read_setup(check_setup(setup, data)), load(data, skip_bad=skip_bad)
+    rig, loaded = df.read_setup(check_setup(setup, data)), df.load(data, skip_bad=skip_bad)
     with show_progress(quiet) as tell:
-        found = identify_pushes(
-            rig, loaded, use_data_mass=use_data_mass, skip_bad=skip_bad, tell=tell
-        )
-    answer = answers.describe_friction(found, rig.rig)
-    report = answers.report_friction(found, answer, loaded, out is not None)
+        found = df.identify(rig, loaded, use_data_mass=use_data_mass, skip_bad=skip_bad, tell=tell)
+    answer = reports.identify.describe_friction(found, rig.rig)
+    report = reports.identify.report_friction(found, answer, loaded, out is not None)
     print_and_write(report, answer, out)
 
 
@@ -56,12 +52,8 @@ def _identify_fleet(
 ) -> None:
     """Identify mu_s of all pushes of an archive, into the folder."""
     folder = check_fleet(data, workers, scheduler, out)
-    # Here, as one rig's pushes need no data frames: 0.2 s.
-    from difffric.commands.reports.fleet import describe_fleet, report_fleet
-    from difffric.fleet.identify_archive import identify_fleet
-
     with show_progress(quiet) as tell:
-        found = identify_fleet(
+        found = df.identify_fleet(
             data,
             folder,
             setup=setup,
@@ -71,6 +63,6 @@ def _identify_fleet(
             tell=tell,
         )
         tell("drawing", 1.0)
-        answer = describe_fleet(found)
-        report = report_fleet(found, answer, pictures=True)
+        answer = reports.fleet.describe_fleet(found)
+        report = reports.fleet.report_fleet(found, answer, pictures=True)
     print_and_write(report, answer, folder)

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+import difffric as df
+from difffric.commands import reports
 from difffric.commands.console import check_out, print_and_write, show_progress
 from difffric.commands.options import (
     DataMass,
@@ -17,10 +19,7 @@ from difffric.commands.options import (
     SkipBad,
     require_positive,
 )
-from difffric.commands.reports import monitor as answers
 from difffric.errors import InputError
-from difffric.monitoring.feed import Feed
-from difffric.rig.setup_toml import read_setup
 
 
 def monitor(
@@ -50,18 +49,18 @@ def monitor(
     require_positive("--idle-s", idle_s)
     if follow and len(data) != 1:
         raise InputError(f"--follow: expected one .tdms, got {len(data)} files")
-    feed = Feed(read_setup(setup), arl=arl, state=state)
+    feed = df.monitoring.feed.Feed(df.read_setup(setup), arl=arl, state=state)
     with show_progress(quiet) as tell:
         if follow:
-            feed.on_push = answers.make_teller(feed)
+            feed.on_push = reports.monitor.make_teller(feed)
             with suppress(KeyboardInterrupt):
                 feed.follow(data[0], idle=idle_s, tell=tell)
         else:
             feed.files(data, use_data_mass=use_data_mass, skip_bad=skip_bad, tell=tell)
         tell("drawing", 0.99)
-        alarms = answers.explain_alarms(feed.monitor)
-        answer = answers.describe_monitor(feed, alarms)
-        report = answers.report_monitor(feed, answer, alarms, pictures=out is not None)
+        alarms = reports.monitor.explain_alarms(feed.monitor)
+        answer = reports.monitor.describe_monitor(feed, alarms)
+        report = reports.monitor.report_monitor(feed, answer, alarms, pictures=out is not None)
     print_and_write(report, answer, out)
-    if answers.find_new_alarms(feed):
-        raise typer.Exit(answers.ALARM)
+    if reports.monitor.find_new_alarms(feed):
+        raise typer.Exit(reports.monitor.ALARM)

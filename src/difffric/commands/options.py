@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+import difffric as df
 from difffric.errors import InputError
-from difffric.rig import parameters
-from difffric.rig.setup_toml import load_setup
 from difffric.units import from_mm
 
 if TYPE_CHECKING:
@@ -48,12 +47,12 @@ def load_rig(
 
     Raises `InputError` where the file or a given value is wrong.
     """
-    rig = load_setup(setup)
+    rig = df.load_setup(setup)
     given = {
         "mu_s": require_positive("--mu-s", mu_s),
         "mass_kg": require_positive("--mass-kg", mass_kg),
     }
-    rig = parameters.with_values(rig, {k: v for k, v in given.items() if v is not None})
+    rig = df.rig.parameters.with_values(rig, {k: v for k, v in given.items() if v is not None})
     if require_positive("--stroke-mm", stroke_mm) is not None:
-        rig = parameters.with_stroke(rig, from_mm(stroke_mm))
+        rig = df.rig.parameters.with_stroke(rig, from_mm(stroke_mm))
     return rig

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import difffric as df
+from difffric.commands import reports
 from difffric.commands.console import check_out, print_and_write, show_progress
 from difffric.commands.options import Out, Quiet
-from difffric.commands.reports.paper import report_paper
-from difffric.studies.paper import study
 
 
 def paper(out: Out = None, quiet: Quiet = False) -> None:
     """Report the paper's tables and figures, beside the differentiable model's answers."""
     check_out(out)
     with show_progress(quiet) as tell:
-        found = study(tell)
-    print_and_write(report_paper(found), found.as_dict(), out)
+        found = df.studies.paper.study(tell)
+    print_and_write(reports.paper.report_paper(found), found.as_dict(), out)

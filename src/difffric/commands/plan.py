@@ -7,12 +7,10 @@ from typing import Annotated
 
 import typer
 
-from difffric.centering.planning import Known, space_speeds
-from difffric.centering.planning import plan as plan_push
+import difffric as df
+from difffric.commands import reports
 from difffric.commands.console import check_out, print_and_write, show_progress
 from difffric.commands.options import Out, Quiet, Setup, require_positive
-from difffric.commands.reports import plan as answers
-from difffric.rig.setup_toml import read_setup
 from difffric.units import from_mm, from_mm_min, from_um
 
 
@@ -45,18 +43,20 @@ def plan(
     require_positive("--reach-mm", reach_mm)
     require_positive("--mu-s", mu_s)
     require_positive("--radius-mm", radius_mm)
-    said = answers.replace_mu_s(read_setup(setup), mu_s, mu_s_se)
-    offset, error, found = answers.find_offset(offset_um, offset_se_um, ring, radius_mm)
-    known = Known.of(
+    said = reports.plan.replace_mu_s(df.read_setup(setup), mu_s, mu_s_se)
+    offset, error, found = reports.plan.find_offset(offset_um, offset_se_um, ring, radius_mm)
+    known = df.centering.Known.of(
         said,
-        speeds=space_speeds(from_mm_min(slowest_mm_min), from_mm_min(fastest_mm_min)),
+        speeds=df.centering.planning.space_speeds(
+            from_mm_min(slowest_mm_min), from_mm_min(fastest_mm_min)
+        ),
         within=from_um(within_um),
         reach=from_mm(reach_mm),
     )
     with show_progress(quiet) as tell:
         tell("planning", 0.0)
-        planned = plan_push(known, offset, error)
-    answer = answers.describe_plan(planned, known, found, answers.list_notes(said))
+        planned = df.plan(known, offset, error)
+    answer = reports.plan.describe_plan(planned, known, found, reports.plan.list_notes(said))
     print_and_write(
-        answers.report_plan(planned, known, answer, found, out is not None), answer, out
+        reports.plan.report_plan(planned, known, answer, found, out is not None), answer, out
     )

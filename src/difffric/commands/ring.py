@@ -7,11 +7,10 @@ from typing import Annotated
 
 import typer
 
-from difffric.centering.ring import measure
-from difffric.centering.ring_csv import load_ring
+import difffric as df
+from difffric.commands import reports
 from difffric.commands.console import check_out, print_and_write
 from difffric.commands.options import Out, require_positive
-from difffric.commands.reports.ring import report_ring
 from difffric.errors import InputError
 from difffric.units import from_mm, from_um
 
@@ -39,11 +38,11 @@ def ring(
     if not 0 <= form_um < 1e6:
         raise InputError(f"--form-um: expected a number >= 0, got {form_um:g}")
     nominal = None if radius_mm is None else from_mm(radius_mm)
-    angle, radius = load_ring(readings, nominal)
+    angle, radius = df.load_ring(readings, nominal)
     noise = None if noise_um is None else from_um(noise_um)
     try:
-        found = measure(angle, radius, noise=noise, lobes=lobes, form=from_um(form_um))
+        found = df.measure(angle, radius, noise=noise, lobes=lobes, form=from_um(form_um))
     except InputError as error:
         raise InputError(f"{readings}: {error}") from None
-    report = report_ring(found, angle, radius, pictures=out is not None)
+    report = reports.ring.report_ring(found, angle, radius, pictures=out is not None)
     print_and_write(report, {"readings_file": str(readings), **found.as_dict()}, out)

@@ -6,13 +6,9 @@ from typing import Annotated
 
 import typer
 
+from difffric.commands import reports
 from difffric.commands.console import check_out, print_and_write, show_progress
 from difffric.commands.options import Out, Quiet, Setup, load_rig, require_positive
-from difffric.commands.reports.simulate import (
-    describe_simulation,
-    draw_simulation,
-    report_simulation,
-)
 from difffric.units import from_mm_min
 
 
@@ -31,6 +27,9 @@ def simulate(
     require_positive("--velocity-mm-min", velocity_mm_min)
     with show_progress(quiet) as tell:
         tell("simulating", 0.0)
-        answer = describe_simulation(rig, from_mm_min(velocity_mm_min))
-    pictures = () if out is None else draw_simulation(rig, from_mm_min(velocity_mm_min))
-    print_and_write(report_simulation(answer, velocity_mm_min, rig, pictures), answer, out)
+        answer = reports.simulate.describe_simulation(rig, from_mm_min(velocity_mm_min))
+    pictures = (
+        () if out is None else reports.simulate.draw_simulation(rig, from_mm_min(velocity_mm_min))
+    )
+    report = reports.simulate.report_simulation(answer, velocity_mm_min, rig, pictures)
+    print_and_write(report, answer, out)

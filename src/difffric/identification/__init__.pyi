@@ -1,3 +1,4 @@
+from . import controller as controller
 from . import surrogates as surrogates
 from .controller.fitting import fit_predictor as fit_predictor
 from .controller.predictor import Predictor as Predictor

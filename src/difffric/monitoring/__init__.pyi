@@ -1,1 +1,2 @@
+from . import feed as feed
 from .monitor import Monitor as Monitor

@@ -11,6 +11,7 @@ from .rig import spring_damper_rig as spring_damper_rig
 from .sensors import ForceSensor as ForceSensor
 from .sensors import Probe as Probe
 from .setup import Setup as Setup
+from .setup_toml import format_setup as format_setup
 from .setup_toml import load_setup as load_setup
 from .setup_toml import read_setup as read_setup
 from .setup_toml import write_setup as write_setup

@@ -9,5 +9,10 @@ of its name, `fleet` and `fleet_diagnosis` those of `identify` and `diagnose` on
 - `report_...` returns the `Report`. Text and numbers are made here, with `number_text`; pictures
   come from `figures`, and only where they are asked for, as matplotlib takes long to load.
 
-To add something to a report, add a table or a picture to one of its sections.
+To add something to a report, add a table or a picture to one of its sections. A report is loaded
+on first use, `reports.fit.report_fit(...)`; a new module is listed in `__init__.pyi`.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -9,3 +9,7 @@
 To change what the C function answers, change `predictor_template.c` and `Predictor.predict`
 together; the golden vectors hold them to each other.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

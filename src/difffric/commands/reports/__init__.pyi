@@ -1,0 +1,15 @@
+from . import acquire as acquire
+from . import centre as centre
+from . import diagnose as diagnose
+from . import export as export
+from . import family as family
+from . import fit as fit
+from . import fleet as fleet
+from . import fleet_diagnosis as fleet_diagnosis
+from . import identify as identify
+from . import monitor as monitor
+from . import page as page
+from . import paper as paper
+from . import plan as plan
+from . import ring as ring
+from . import simulate as simulate
