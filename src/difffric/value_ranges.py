@@ -27,7 +27,7 @@ class Range:
         """Whether a number, or each of an array, is in the range."""
         return self.holds(x) & (np.isfinite(x) | self.infinite)
 
-    def expected(self, found: float) -> str:
+    def describe_expected(self, found: float) -> str:
         """What a message says was expected where `found` was found instead."""
         finite = "finite " if np.isinf(found) and not self.infinite else ""
         return f"expected a {finite}number {self.words}".rstrip()

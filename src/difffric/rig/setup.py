@@ -54,14 +54,16 @@ def check_rig(rig: Rig) -> Rig:
             continue
         x = np.asarray(value)
         if x.dtype.kind not in "iuf":
-            problems.append(f"{q.attribute}: {q.range.expected(0)}, got {value!r}")
+            problems.append(f"{q.attribute}: {q.range.describe_expected(0)}, got {value!r}")
             continue
         x = np.asarray(q.of_rig(x))
         good = q.range.allows(x) | ((q is STROKE) & (x == np.inf))  # which means none
         if not good.all():
             at = np.unravel_index(np.argmin(good), x.shape)
             where = f" at index {', '.join(map(str, at))}" if x.ndim else ""
-            problems.append(f"{q.attribute}: {q.range.expected(x[at])}, got {x[at]}{where}")
+            problems.append(
+                f"{q.attribute}: {q.range.describe_expected(x[at])}, got {x[at]}{where}"
+            )
     if problems:
         raise InputError("\n".join(problems))
     return rig

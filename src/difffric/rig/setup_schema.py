@@ -68,7 +68,7 @@ def _number(range: Range, q: AbstractSetupQuantity | None = None) -> pydantic.Pl
         exact = Decimal(given) if is_number else Decimal(0)
         value = q.to_si(exact) if q else float(exact)
         if not (is_number and range.allows(value)):
-            raise _refuse(f"{range.expected(value)}, got {_format_given(given)}")
+            raise _refuse(f"{range.describe_expected(value)}, got {_format_given(given)}")
         return exact if q else value
 
     return pydantic.PlainValidator(validate)
@@ -149,7 +149,7 @@ def _describe(error: Mapping[str, Any], document: dict) -> str:
     if kind == "setup":
         return f"{where}: {error['msg']}"
     if kind == "missing":
-        return f"{where}: missing, {SECTIONS[section][keys[0]].range.expected(0)}"
+        return f"{where}: missing, {SECTIONS[section][keys[0]].range.describe_expected(0)}"
     if kind == "extra_forbidden":
         return f"{where}: {_describe_unknown(*loc)}"
     what = "true or false" if kind == "bool_type" else "a table"

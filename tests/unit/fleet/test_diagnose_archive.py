@@ -148,7 +148,7 @@ def cause(effect, value=1.0, error=0.1, drop=60.0, alike=(), key="v_s_m_per_s"):
 
 
 def answer(rig, *causes, verdict=None, unseen=(), negligible=(), known=(), quiet=None):
-    """A rig's answer as `fleet_rig` keeps it; `quiet`: effect -> (where it leads, visible)."""
+    """A rig's answer as `fleet.member` keeps it; `quiet`: effect -> (where it leads, visible)."""
     evidence = {e: scored(0.0, 5.0) for e in QUIET}
     evidence["stribeck"] = {"chi2_drop": 0.0, "numbers": 1, "p_value": 1.0}
     evidence |= {e: scored(*x) for e, x in (quiet or {}).items()}

@@ -169,7 +169,9 @@ def _column(frame: pl.DataFrame, q: PushQuantity) -> tuple[list, list[tuple[int,
         comma = (
             f" ({_COMMA})" if number is None and parse_decimal(cell.replace(",", ".", 1)) else ""
         )
-        problems.append((line, f"{line}, {q.key}: {q.range.expected(value)}, got {cell!r}{comma}"))
+        problems.append(
+            (line, f"{line}, {q.key}: {q.range.describe_expected(value)}, got {cell!r}{comma}")
+        )
     return values.tolist(), problems
 
 

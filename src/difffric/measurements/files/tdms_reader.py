@@ -209,7 +209,7 @@ def _properties(given: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
         if math.isfinite(si) and q.range.holds(si):
             said[q.attribute] = si
         else:
-            problems.append(f"{key}: {q.range.expected(si)}, got {value!r}")
+            problems.append(f"{key}: {q.range.describe_expected(si)}, got {value!r}")
     for name, value in given.items():
         if name in _KEYS or not isinstance(value, int | float):
             continue

@@ -247,7 +247,9 @@ class _Segments:
             if q is None or q.range is None or value is None:
                 continue
             if not (np.isfinite(value) and q.range.holds(value)):
-                problems.append(f"{where}: {key}: {q.range.expected(value)}, got {value!r}")
+                problems.append(
+                    f"{where}: {key}: {q.range.describe_expected(value)}, got {value!r}"
+                )
         if problems:
             raise InputError(join_problems(problems))
         said = {key: value for key, value in properties.items() if value is not None}
