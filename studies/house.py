@@ -153,7 +153,8 @@ VERBS = frozenset(
         order pack pad parse pick place plot pool predict prepare print put raise read record reduce
         refit remove rename render repeat replace report require reset resolve restore return run
         sample save scan score search seek select send set settle show simulate skip solve sort
-        split stack start step stop store stream sum tabulate take tell test time track trace try update use
+        split stack start step stop store stream sum tabulate take tell test time track trace try
+        update use
         spread validate walk warm warn weight whiten write
         """,
     )

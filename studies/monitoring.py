@@ -84,7 +84,7 @@ def of_statistic(arl: float, pushes: int, seed: int = 1) -> tuple[float, int]:
 
 
 class _Judge:
-    """`monitoring.baseline` for many machines at once: the same recursions over arrays (machines,)."""
+    """`monitoring.baseline` for many machines at once: the same recursions, arrays (machines,)."""
 
     def __init__(self, machines: int):
         self.weight, self.value = np.zeros((2, machines, len(SPEEDS)))

@@ -9,7 +9,7 @@ the folder that `--out` names.
   progress, prints tables and writes the folder; `live_view` shows pushes while they are recorded.
 - `reports` turns what was found into result.json and a page, `figures` into pictures.
 
-A new command is a function in a module of its own, a line in `main.COMMANDS`, and a report. It calls
-the library by its public face, `import difffric as df`, and its report through `reports`: both load
-their parts on first use, so that imports stand at the top and a command's help comes at once.
+A new command is a function in a module of its own, a line in `main.COMMANDS`, and a report. It
+calls the library by its public face, `import difffric as df`, and its report through `reports`:
+both load their parts on first use, so that imports stand at the top and help comes at once.
 """

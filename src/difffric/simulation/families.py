@@ -69,9 +69,9 @@ def family(
 
     `identification.surrogates` fits equations (3) and (5) to it.
     """
-    velocity = from_mm_min(SPEEDS_MM_MIN) if velocity is None else np.asarray(velocity, float)
-    mu_s = MU_S if mu_s is None else np.asarray(mu_s, float)
+    speeds = from_mm_min(SPEEDS_MM_MIN) if velocity is None else np.asarray(velocity, float)
+    frictions = MU_S if mu_s is None else np.asarray(mu_s, float)
     F, d, regime = _grid(
-        pytrees.as_arrays(rig), jnp.asarray(velocity), jnp.asarray(mu_s), integrator
+        pytrees.as_arrays(rig), jnp.asarray(speeds), jnp.asarray(frictions), integrator
     )
-    return Family(velocity, mu_s, np.asarray(F), np.asarray(d), np.asarray(regime))
+    return Family(speeds, frictions, np.asarray(F), np.asarray(d), np.asarray(regime))
