@@ -1,6 +1,7 @@
 """What the pages say is true: their Python runs, and their links lead somewhere."""
 
 import ast
+import importlib
 import json
 import re
 import runpy
@@ -15,6 +16,7 @@ import difffric
 from tests.public import is_public, public_names
 
 ROOT = Path(__file__).parents[2]
+SRC = ROOT / "src"
 TOP = [path for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md") if path.exists()]
 PAGES = [*TOP, *sorted((ROOT / "docs").rglob("*.md"))]
 FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```\s*$", re.MULTILINE | re.DOTALL)
@@ -81,6 +83,16 @@ def test_a_package_does_not_shadow_a_function():
         "assert callable(df.fit) and callable(df.calibration.fit) and callable(df.family)"
     )
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+@pytest.mark.parametrize("stub", sorted(SRC.rglob("__init__.pyi")), ids=name)
+def test_each_name_of_a_stub_is_there(stub):
+    """lazy_loader looks a name up when it is first used: a wrong line would go unnoticed."""
+    package = importlib.import_module(".".join(stub.parent.relative_to(SRC).parts))
+    lines = [x for x in ast.parse(stub.read_text()).body if isinstance(x, ast.ImportFrom)]
+    names = {alias.name for line in lines for alias in line.names}
+    assert names == set(package.__all__)
+    assert not [name for name in names if not hasattr(package, name)]
 
 
 def test_the_import_is_light():
