@@ -39,7 +39,7 @@ a half, two in the tails."""
 _SHOWN = 5
 """The best candidates that are told."""
 _VAGUE = 1e-6
-"""What is known of each parameter anyhow, as information in units of `undetermined`: a standard
+"""What is known of each parameter anyhow, as information in units of `open_units`: a standard
 error of 1000 of them, so that log det exists where the fit left a parameter open."""
 
 

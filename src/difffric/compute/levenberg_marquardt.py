@@ -64,8 +64,8 @@ class _ArrowBlocks(NamedTuple):
 
 
 class ArrowSolver(lx.AbstractLinearSolver):
-    """Solves min |A x - b| for x = (theta, eta, start) of `mixed.Point`, where eta and start of
-    a push act on the residuals of that push alone.
+    """Solves min |A x - b| for x = (theta, eta, start) of `mixed_model.FitPoint`, where eta and
+    start of a push act on the residuals of that push alone.
 
     The columns of all pushes are had by one product each (Curtis, Powell and Reid, J. Inst.
     Math. Appl. 13 (1974)); the cost is linear in the number of pushes. Normal equations:

@@ -1,6 +1,6 @@
 """The catalogue of effects, one table for all: null limits, and the independent reference.
 
-A new effect is tested as soon as it stands in `effects.CATALOGUE`, against the reference as soon
+A new effect is tested as soon as it stands in `catalogue.CATALOGUE`, against the reference as soon
 as `tests/reference` knows it.
 """
 
