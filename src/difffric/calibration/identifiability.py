@@ -12,7 +12,7 @@ from difffric.calibration.free_parameters import USUAL_SCATTER, choose_free, col
 from difffric.errors import InputError
 from difffric.estimation.coordinates import Layout, layout, slope
 from difffric.estimation.descent import Model
-from difffric.estimation.information import design_data, information, responses
+from difffric.estimation.fisher_information import design_data, information, responses
 from difffric.estimation.open_parameters import list_undetermined, open_units
 from difffric.estimation.restricted_likelihood import invert_information
 from difffric.estimation.stacked_data import sensor_errors

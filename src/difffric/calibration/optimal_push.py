@@ -23,7 +23,7 @@ from difffric.errors import InputError
 from difffric.estimation import coordinates
 from difffric.estimation.coordinates import slope, to_coordinate
 from difffric.estimation.descent import Settled, linearise_at
-from difffric.estimation.information import information, responses
+from difffric.estimation.fisher_information import information, responses
 from difffric.estimation.open_parameters import open_units
 from difffric.estimation.residuals import TablePush, TracePush
 from difffric.estimation.stacked_data import SLIDES, TABLE, FitData

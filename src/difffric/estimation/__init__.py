@@ -16,8 +16,8 @@ scatters about the shared one; that is a mixed model. The two engines differ in 
 | own mu_s of a push | `mixed_fit.rescan_push_friction` | `ensemble_refits.rescan_bad_pushes` |
 | until all stands | `mixed_fit.settle` | `ensemble_refits.refit` |
 
-Besides: `information` tells what pushes that were not made yet would say, `open_parameters` which
-parameters a covariance leaves open, in words, and `push_rigs` gives each push its own rig.
+Besides: `fisher_information` tells what pushes that were not made yet would say, `open_parameters`
+which parameters a covariance leaves open, in words, and `push_rigs` gives each push its own rig.
 
 A new parameter needs a line in `rig.parameters` and nothing here; a new effect, a line in
 `rig.catalogue`. For a new kind of data add a class with `respond` to `residuals` and a function to

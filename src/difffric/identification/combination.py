@@ -1,12 +1,7 @@
 """What force and distance together say of mu_s: equation (7), and the statistically best mean.
 
-The two estimates of a push share the calibration's error, so their covariance is not diagonal:
-with s the slopes by mu_s, J the derivatives by the calibrated coordinates and R R^T the covariance
-of these,
-
-    C = diag(sigma / s)^2 + S S^T,   S = -(J / s) R,
-
-and the best weights are C^-1 1, scaled to a sum of one (generalised least squares).
+The best weights are C^-1 1, scaled to a sum of one (generalised least squares), with C the
+covariance of the two that `standard_errors` gives.
 """
 
 from __future__ import annotations
@@ -21,6 +16,7 @@ from numpy.typing import NDArray
 from difffric.identification.estimates import Estimates, PushFriction
 from difffric.identification.inversion import Inversion
 from difffric.identification.resolved_pushes import ResolvedPushes
+from difffric.identification.standard_errors import average_with_error, propagate_errors
 from difffric.identification.surrogates import weigh_by_ranges
 
 _NO_RANGE = "no (7): the model gives no range of d"
@@ -76,9 +72,7 @@ def combine(
     `ResolvedPushes.differentiate`."""
     mu, slope = (_read(force, distance, field) for field in ("value", "slope"))
     with np.errstate(invalid="ignore", divide="ignore"):
-        shared = np.matmul(-(gradient / slope[..., None]), pushes.roots)
-        covariance = np.matmul(shared, shared.swapaxes(1, 2))
-        covariance[:, [0, 1], [0, 1]] += (pushes.errors / slope) ** 2
+        covariance, shared = propagate_errors(slope, gradient, pushes.roots, pushes.errors)
         exists = np.asarray(np.isfinite(mu))
         count = exists.sum(axis=1)
         both, one = count == 2, count == 1
@@ -91,7 +85,7 @@ def combine(
             "mu_s_weighted": by_7,
             "mu_s_optimal": np.where(one[:, None], alone, best),
         }
-        found = {name: _average(w, mu, covariance, shared) for name, w in weights.items()}
+        found = {name: average_with_error(w, mu, covariance, shared) for name, w in weights.items()}
         disagreement = (mu[:, 0] - mu[:, 1]) / np.sqrt(apart)
     no_range = both & ~np.isfinite(pushes.range_ratio)
     no_noise = both & np.isnan(best[:, 0])
@@ -145,22 +139,3 @@ def _weigh_best(
     w = np.linalg.solve(C[regular], np.ones((int(regular.sum()), 2, 1)))[..., 0]
     best[known] = w / w.sum(axis=1, keepdims=True)
     return best, apart
-
-
-def _average(
-    weights: Float[NDArray, "n 2"],
-    mu: Float[NDArray, "n 2"],
-    covariance: Float[NDArray, "n 2 2"],
-    shared: Float[NDArray, "n 2 k"],
-) -> Estimates:
-    """The weighted mean of force and distance; what has no weight does not count, NaN or not."""
-    used = weights != 0
-    w = weights[:, None, :]
-    mu = np.where(used, mu, 0.0)
-    covariance = np.where(used[:, :, None] & used[:, None, :], covariance, 0.0)
-    shared = np.where(used[:, :, None], shared, 0.0)
-    # Each product by `matmul`, a push at a time: its order of operations does not depend on how
-    # many pushes there are.
-    variance = np.matmul(np.matmul(w, covariance), weights[..., None])[:, 0, 0]
-    value = np.matmul(w, mu[..., None])[:, 0, 0]
-    return Estimates(value, np.sqrt(variance), np.matmul(w, shared)[:, 0])

@@ -1,6 +1,7 @@
 """The rig: a part on rails in front of a push tip, its laws, its effects and its set-up file.
 
-- `rig`: `Rig` and its force balance, equation (2); `spring_damper_rig` makes the paper's.
+- `force_balance`: equation (2).
+- `rig`: `Rig`, which puts the laws into it; `spring_damper_rig` makes the paper's.
 - `friction` (equation (1)), `contact`, `pusher`, `sensors`: the laws, and the effects, which are
   laws around a law. `free_form` has laws around a law with a curve of no particular form.
 - `catalogue`: all effects by name; `extended` adds some to a rig, `universal` all of them.

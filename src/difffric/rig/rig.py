@@ -1,4 +1,4 @@
-"""The rig: part, friction, contact, pusher and sensors, and their force balance, equation (2)."""
+"""The rig: part, friction, contact, pusher and sensors, and equation (2) in each mode of a push."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import Any
 
 import equinox as eqx
 
+from difffric.rig import force_balance
 from difffric.rig.contact import UnilateralSpringDamper
 from difffric.rig.friction import ViscousCoulomb
 from difffric.rig.number import Number, Truth
@@ -68,23 +69,20 @@ class Rig(eqx.Module):
 
         z [m] is the compression, w [m/s] its rate, u [m/s] the speed of the part.
         """
-        return self.balance(self.contact.approach(z, w), u)
+        return self._accelerate(self.contact.approach(z, w), u)
 
     def rebounding(self, z: Number, w: Number, u: Number) -> Number:
         """Equation (2) while the part recedes from the tip: x'' [m/s^2]."""
-        return self.balance(self.contact.rebound(z, w), u)
+        return self._accelerate(self.contact.rebound(z, w), u)
 
     def free(self, u: Number) -> Number:
         """Equation (2) without contact: x'' [m/s^2]."""
-        return self.balance(0.0, u)
+        return self._accelerate(0.0, u)
 
-    def balance(self, F_contact: Number, u: Number) -> Number:
-        """m x'' = b max(y' - x', 0) + k max(y - x, 0) - F(t), solved for x''.
-
-        These are the physical signs: the paper prints -F(t) alone on the right and the contact
-        on the left, which would pull the part away from the push.
-        """
-        return (F_contact - self.friction.sliding(u, self.F_N) - self.slope) / self.mass
+    def _accelerate(self, F_contact: Number, u: Number) -> Number:
+        """The acceleration [m/s^2] of the part that slides at u under the contact's force [N]."""
+        F_friction = self.friction.sliding(u, self.F_N)
+        return force_balance.accelerate(F_contact, F_friction, self.slope, self.mass)
 
 
 def spring_damper_rig(

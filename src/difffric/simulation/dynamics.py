@@ -14,6 +14,7 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from difffric.compute.smooth_extension import extend_odd
+from difffric.rig.force_balance import accelerate
 from difffric.rig.rig import Rig
 from difffric.simulation.events import Event, Mode
 from difffric.units import GRAVITY
@@ -130,7 +131,7 @@ class Motion(NamedTuple):
             drag, dq = friction.sliding(s.u, load), None
         else:
             drag, dq = extend_odd(lambda u: friction.sliding(u, load), s.u), None
-        a = (self.force(course, s) - drag - rig.slope) / rig.mass
+        a = accelerate(self.force(course, s), drag, rig.slope, rig.mass)
         return PhasePoint(jnp.ones_like(s.t), dy - s.u, jnp.where(held, 0.0, a), dy, dq)
 
     def guards(

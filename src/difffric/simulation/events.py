@@ -1,8 +1,10 @@
 """What can happen in a push: its modes, the events between them, how it went, and why something of
 it may not exist.
 
-Every program of the simulation works with these numbers; where a person reads one, its member's
-text says it. A code from a compiled program becomes a member by `Regime(int(code))`.
+When an event comes is found by `closed_form`, as the release is in `follow_rebounding`, and for
+any laws by `stepping.event_location`. Every program of the simulation works with these numbers;
+where a person reads one, its member's text says it. A code from a compiled program becomes a member
+by `Regime(int(code))`.
 """
 
 from __future__ import annotations
