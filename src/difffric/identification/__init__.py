@@ -16,8 +16,8 @@ push (`ResolvedPushes`: the model at its mass, stroke and condition, the errors 
 calibration's covariance); `inversion` finds mu_s from F_p and from d, each crossing by `crossing`;
 `combination` takes both together, as arrays over the pushes, with the errors of `standard_errors`;
 `estimates` has what comes out. A free slide goes through `free_slide`, a recording through
-`whole_recording` too. A fleet and the live identifier go the same way. `push_models` is the model of many pushes over mu_s; `tabulated_model`
-the model of one, on a grid that was solved beforehand.
+`whole_recording` too. A fleet and the live identifier go the same way. `push_models` is the model
+of many pushes over mu_s; `tabulated_model` the model of one, on a grid that was solved beforehand.
 
 Two ways stay outside, as they answer another question: `centering.loop` weighs every mu_s by its
 likelihood, as a part that friction held has no mu_s to be inverted; `monitoring.readings` splits

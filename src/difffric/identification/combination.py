@@ -21,6 +21,7 @@ from difffric.identification.surrogates import weigh_by_ranges
 
 _NO_RANGE = "no (7): the model gives no range of d"
 _NO_NOISE = "no optimum: the noise of F_p or of d is not known"
+_NO_OWN_NOISE = "no optimum: beside the calibration's error the noise does not count"
 
 
 @dataclass(frozen=True)
@@ -88,10 +89,9 @@ def combine(
         found = {name: average_with_error(w, mu, covariance, shared) for name, w in weights.items()}
         disagreement = (mu[:, 0] - mu[:, 1]) / np.sqrt(apart)
     no_range = both & ~np.isfinite(pushes.range_ratio)
-    no_noise = both & np.isnan(best[:, 0])
     reasons = [
-        "; ".join(x for x in (a.reason, b.reason, r and _NO_RANGE, o and _NO_NOISE) if x) or None
-        for a, b, r, o in zip(force, distance, no_range, no_noise, strict=True)
+        "; ".join(x for x in (a.reason, b.reason, *own) if x) or None
+        for a, b, own in zip(force, distance, _explain(both, no_range, best, apart), strict=True)
     ]
     return Combination(
         pushes,
@@ -102,6 +102,16 @@ def combine(
         regimes=tuple(regimes),
         reasons=tuple(reasons),
     )
+
+
+def _explain(
+    both: NDArray, no_range: NDArray, best: Float[NDArray, "n 2"], apart: Float[NDArray, " n"]
+) -> list[tuple[str, ...]]:
+    """Why equation (7) or the best mean gives nothing of a push, though F_p and d do."""
+    unknown = both & np.isnan(apart)
+    singular = both & np.isnan(best[:, 0]) & ~unknown
+    causes = ((no_range, _NO_RANGE), (unknown, _NO_NOISE), (singular, _NO_OWN_NOISE))
+    return [tuple(text for where, text in causes if where[i]) for i in range(len(both))]
 
 
 def _read(

@@ -22,7 +22,7 @@ def lay_out(tables: Mapping[str, Mapping[str, str]], template: str = "") -> str:
             kept = _write_into(tomlkit.parse(template), tables, _read(template))
             if _read(kept) == _read(plain):
                 return kept
-        except (TOMLKitError, ValueError, ArithmeticError, TypeError, AttributeError):
+        except (TOMLKitError, ValueError, ArithmeticError, TypeError, AttributeError, LookupError):
             pass  # it is no TOML, or has a value where a table is to be
     return plain
 
