@@ -10,8 +10,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from difffric.errors import InputError
 
 
@@ -54,6 +52,8 @@ def open_folder(folder: str | os.PathLike) -> Iterator[Path]:
 
 def to_json_types(answer: Any) -> Any:
     """Return an answer as JSON can hold it: Python's own types, and null for what is no number."""
+    import numpy as np  # here, as a command's help, which needs none, takes half as long again
+
     if isinstance(answer, Mapping):
         return {str(key): to_json_types(value) for key, value in answer.items()}
     if isinstance(answer, (list, tuple)):

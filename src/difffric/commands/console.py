@@ -9,7 +9,6 @@ from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table as RichTable
 from rich.text import Text
 
@@ -25,6 +24,9 @@ _WIDEST = 200
 @contextmanager
 def show_progress(quiet: bool) -> Iterator[Tell]:
     """Yield `tell(what, share done)`, which shows a bar on standard error unless quiet."""
+    # Here, as a command's help shows no bar and would wait for its import.
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
