@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike, NDArray
-from statsmodels.stats.multitest import multipletests
 
 _EXACT = {"xtol": 1e-300, "rtol": 4 * np.finfo(float).eps, "maxiter": 1000}
 """A root to the last digits, whatever its scale."""
@@ -93,8 +92,17 @@ def compare_each_with_rest(values: ArrayLike, errors: ArrayLike) -> NDArray:
 
 
 def correct_by_holm(p: ArrayLike) -> NDArray:
-    """Correct p-values (n,) for their number, by Holm's method."""
-    return np.asarray(multipletests(np.asarray(p, float), method="holm")[1])
+    """Correct p-values (n,) for their number, by Holm's method.
+
+    It is done by hand: statsmodels' multipletests gives the same bits and collects garbage at each
+    call, which takes 0.2 s and more in a process that has compiled a few programs.
+    """
+    p = np.asarray(p, float)
+    order = np.argsort(p)
+    raised = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
+    corrected = np.empty(len(p))
+    corrected[order] = np.minimum(raised, 1.0)
+    return corrected
 
 
 def find_odd_ones(values: ArrayLike, errors: ArrayLike, level: float) -> dict[int, float]:
