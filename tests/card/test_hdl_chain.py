@@ -14,7 +14,7 @@ import difffric as df
 from difffric.acquisition.card import METRES_PER_COUNT, VOLTS_PER_WORD, split_position
 from difffric.acquisition.push import Command
 from difffric.acquisition.recorder import acquire
-from difffric.identification.live import contradictions
+from difffric.identification.live import find_contradictions
 from difffric.measurements.checks import check_data
 from difffric.measurements.files.tdms_reader import read_recordings
 from difffric.measurements.reduction.reduce import reduce_recordings
@@ -86,7 +86,7 @@ def test_the_friction_that_goes_in_comes_out(tmp_path, average_log2):
     (reduced,) = reduction.details
     # What docs/acquire.md asks of peak and latch; and from the latch to rest it is the
     # reduction's d, but for how far the part goes meanwhile.
-    assert contradictions(push, recordings[0], reduced, SETUP.rig) == ()
+    assert find_contradictions(push, recordings[0], reduced, SETUP.rig) == ()
     rest = count[number * (1 / RATE) > number[-1] / RATE - REST / 2].mean()
     distance = METRES_PER_COUNT * (rest - says["release_count"])
     noise = 5 * SETUP.rig.probe.noise
