@@ -1,4 +1,10 @@
-"""What JAX, XLA and root finding need that has nothing to do with a push: no mechanics is here.
+"""What JAX, XLA, NumPy and root finding need that has nothing to do with a push: no mechanics is
+here.
+
+Written once, run by either
+: `arrays` are the functions of arrays that an equation is written with: JAX runs it, or NumPy, which
+  gives exact derivatives with `dual_numbers`. `elementary_functions` are sine, arctangent, logarithm
+  and quotient likewise, `written_out` what they are for JAX, so that they vectorise.
 
 Compiling
 : `program_cache.cache_program` compiles a function and keeps its programs on disk, in folders that
@@ -13,8 +19,7 @@ Roots and minima
   `levenberg_marquardt` for a fit of many pushes.
 
 Numbers
-: `elementary_functions` are sine, arctangent, logarithm and quotient that vectorise;
-  `smooth_extension` continues a law beyond the place where it begins; `pytrees` treats a tree of
+: `smooth_extension` continues a law beyond the place where it begins; `pytrees` treats a tree of
   numbers as one number.
 
 A new module belongs here if it would read the same in a library on another subject.

@@ -1,168 +1,57 @@
-"""sin, cos, atan2 and log1p in plain arithmetic, to 1 to 3 units in the last place.
+"""sin, cos, atan2, log1p and a quotient as the equations use them.
 
-XLA's CPU backend calls the C library for these in float64, an element at a time: 2 to 11 ns
-each, and a loop that holds one such call is not vectorised at all. Written out they cost what
-their additions and multiplications do, eight at a time with AVX-512.
-
-Coefficients of the arctangent and the logarithm, and the reductions, are those of fdlibm (Sun
-Microsystems, 1993: `s_atan.c`, `s_log1p.c`, `e_rem_pio2.c`), without its branches. Derivatives
-are the exact ones, of every order.
+Of JAX's arrays and tracers they are the vectorised ones of `written_out`, of dual numbers and all
+else NumPy's, with the same derivatives.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import partial
-from math import factorial
 from typing import Any
 
-import jax
-import jax.numpy as jnp
-from jax import lax
-from jax.custom_derivatives import SymbolicZero
-from jaxtyping import Array, Float
+import numpy as np
 
-Values = Float[Array, "*shape"]
-"""One number or many: every function here works on each of them."""
-
-_PI = (3.14159265346825122834, 1.21542010126079320e-10, 4.04453249759190126e-21)
-"""pi as a sum; the first two have 33 bits, so that a product with n/2, n < 2^20, is exact."""
-_SIN = [(-1.0) ** n / factorial(2 * n + 1) for n in range(1, 11)]
-_ATAN = (
-    3.33333333333329318027e-01,
-    -1.99999999998764832476e-01,
-    1.42857142725034663711e-01,
-    -1.11111104054623557880e-01,
-    9.09088713343650656196e-02,
-    -7.69187620504482999495e-02,
-    6.66107313738753120669e-02,
-    -5.83357013379057348645e-02,
-    4.97687799461593236017e-02,
-    -3.65315727442169155270e-02,
-    1.62858201153657823623e-02,
-)
-"""Coefficients of the arctangent up to pi/8 and beyond, as fdlibm has them (`s_atan.c`)."""
-_LOG = (
-    6.666666666666735130e-01,
-    3.999999999940941908e-01,
-    2.857142874366239149e-01,
-    2.222219843214978396e-01,
-    1.818357216161805012e-01,
-    1.531383769920937332e-01,
-    1.479819860511658591e-01,
-)
-"""Coefficients of the logarithm, as fdlibm has them (`s_log1p.c`)."""
-_LN_2 = (6.93147180369123816490e-01, 1.90821492927058770002e-10)
-"""ln 2 as a sum; the first has 32 bits, so that its product with an exponent is exact."""
-_PI_4_LOW = 3.061616997868382943e-17
-"""What pi/4 is more than its float64."""
-_TAN_PI_8 = 0.41421356237309503
-"""Where the arctangent is pi/8."""
-_ONE, _SQRT_HALF, _FRACTION = 0x3FF0000000000000, 0x3FE6A09E667F3BCD, 0x000FFFFFFFFFFFFF
-"""The bits of 1 and of sqrt(1/2), and the mask of a mantissa."""
+from difffric.compute.arrays import follow_rule, uses_jax, where
 
 
-def polynomial(coefficients: Sequence[float], x: Values | float) -> Values:
-    """c_0 + c_1 x + c_2 x^2 + ..., by pairs (Estrin's scheme): half of Horner's chain of
-    operations."""
-    square = x * x
-    pairs = [
-        coefficients[i] + coefficients[i + 1] * x if i + 1 < len(coefficients) else coefficients[i]
-        for i in range(0, len(coefficients), 2)
-    ]
-    total: Any = pairs[-1]
-    for pair in pairs[-2::-1]:
-        total = total * square + pair
-    return total
+def sin_cos(x: Any) -> Any:
+    """(sin x, cos x)."""
+    if uses_jax(x):
+        return _written_out().sin_cos(x)
+    return follow_rule(lambda x: (np.sin(x), np.cos(x)), _turn, (x,))
 
 
-@jax.custom_jvp
-def sin_cos(x: Values) -> tuple[Values, Values]:
-    """(sin x, cos x) for |x| below 1e6; beyond it, finite numbers that mean nothing.
-
-    The cosine is a sine from the middle between two of its roots: XLA evaluates the two apart.
-    """
-    k = jnp.round(x * (1 / jnp.pi))
-    m = jnp.floor(x * (1 / jnp.pi))
-    return _alternating(k) * _half_wave(x, k), -_alternating(m) * _half_wave(x, m + 0.5)
+def _turn(result, values, tangents):
+    (s, c), (dx,) = result, tangents
+    return c * dx, -s * dx
 
 
-def _half_wave(x, n):
-    """sin(x - n pi), where that is from -pi/2 to pi/2."""
-    r = ((x - n * _PI[0]) - n * _PI[1]) - n * _PI[2]
-    z = r * r
-    return r + r * z * polynomial(_SIN, z)
-
-
-def _alternating(n):
-    """(-1)^n."""
-    return 1.0 - 2.0 * (n - 2.0 * jnp.floor(0.5 * n))
-
-
-@sin_cos.defjvp
-def _sin_cos_jvp(primals, tangents):
-    s, c = sin_cos(*primals)
-    return (s, c), (c * tangents[0], -s * tangents[0])
-
-
-@jax.custom_jvp
-def angle(y: Values, x: Values) -> Values:
+def angle(y: Any, x: Any) -> Any:
     """atan2(y, x), from -pi to pi; 0 at the origin."""
-    a, b = jnp.abs(x), jnp.abs(y)
-    low, high = jnp.minimum(a, b), jnp.maximum(a, b)
-    steep = low > _TAN_PI_8 * high  # beyond pi/8: counted from pi/4
-    top, bottom = jnp.where(steep, low - high, low), jnp.where(steep, low + high, high)
-    q = top / jnp.where(bottom == 0, 1.0, bottom)
-    z = q * q
-    turn = q - q * z * polynomial(_ATAN, z)
-    turn = jnp.where(steep, jnp.pi / 4 + (turn + _PI_4_LOW), turn)
-    turn = jnp.where(b > a, jnp.pi / 2 - (turn - 2 * _PI_4_LOW), turn)
-    turn = jnp.where(x < 0, jnp.pi - (turn - 4 * _PI_4_LOW), turn)
-    return jnp.where(y < 0, -turn, turn)
+    if uses_jax(y, x):
+        return _written_out().angle(y, x)
+    return follow_rule(lambda y, x: np.arctan2(y + 0.0, x + 0.0), _swing, (y, x))
 
 
-@angle.defjvp
-def _angle_jvp(primals, tangents):
-    (y, x), (dy, dx) = primals, tangents
+def _swing(result, values, tangents):
+    (y, x), (dy, dx) = values, tangents
     square = x * x + y * y
-    return angle(y, x), (x * dy - y * dx) / jnp.where(square == 0, 1.0, square)
+    turn = (0.0 if dy is None else x * dy) - (0.0 if dx is None else y * dx)
+    return turn / where(square == 0, 1.0, square)
 
 
-@jax.custom_jvp
-def log1p(x: Values) -> Values:
+def log1p(x: Any) -> Any:
     """ln(1 + x) for x >= 0, infinity included."""
-    u = 1.0 + x
-    bits = lax.bitcast_convert_type(u, jnp.int64) + (_ONE - _SQRT_HALF)
-    k = (bits >> 52) - 1023
-    mantissa = lax.bitcast_convert_type((bits & _FRACTION) + _SQRT_HALF, float)
-    # For k = 0 what is left is x itself, unrounded; else the rounding of 1 + x is small beside ln.
-    f = jnp.where(k == 0, x, mantissa - 1.0)
-    s = f / (2.0 + f)
-    z = s * s
-    half = 0.5 * f * f
-    rest = s * (half + z * polynomial(_LOG, z))
-    k = k.astype(float)
-    log = k * _LN_2[0] - ((half - (rest + k * _LN_2[1])) - f)
-    return jnp.where(x == jnp.inf, x, log)
+    if uses_jax(x):
+        return _written_out().log1p(x)
+    return follow_rule(np.log1p, lambda result, values, along: along[0] / (1.0 + values[0]), (x,))
 
 
-@log1p.defjvp
-def _log1p_jvp(primals, tangents):
-    (x,), (dx,) = primals, tangents
-    return log1p(x), dx / (1.0 + x)
-
-
-@jax.custom_jvp
-def quotient(x: Any, y: Values) -> Values:
+def quotient(x: Any, y: Any) -> Any:
     """x / y, whose derivative takes one more division, where JAX's own takes two."""
-    return x / y
+    return _written_out().quotient(x, y) if uses_jax(x, y) else x / y
 
 
-@partial(quotient.defjvp, symbolic_zeros=True)
-def _quotient_jvp(primals, tangents):
-    (x, y), (dx, dy) = primals, tangents
-    q = quotient(x, y)
-    if isinstance(dy, SymbolicZero):
-        return q, quotient(dx, y)
-    fall = -q * dy
-    return q, quotient(fall if isinstance(dx, SymbolicZero) else dx + fall, y)
+def _written_out():
+    from difffric.compute import written_out  # it imports JAX
+
+    return written_out

@@ -1,0 +1,146 @@
+"""Dual numbers: a value and how it changes along one or more directions, so that plain NumPy gives
+exact derivatives of what is written for numbers."""
+
+from __future__ import annotations
+
+from itertools import count
+from typing import Any
+
+import numpy as np
+
+_LEVELS = count(1)
+
+
+def new_level() -> int:
+    """The level of a derivative that begins now: above that of every one within which it is
+    taken, so that the two are not confused."""
+    return next(_LEVELS)
+
+
+class Dual:
+    """value + tangent * e, with e^2 = 0, elementwise.
+
+    The value has the shape (n,), or () where all lanes share it; the tangent that shape, or
+    (k, n) or (k, 1) for k directions. Duals of an outer derivative are plain numbers to an inner
+    one, of a higher level, and may stand in it as value and tangent. Comparisons are those of the
+    values; what does not change is a plain number.
+    """
+
+    __slots__ = ("level", "tangent", "value")
+    __array_ufunc__ = None  # so that NumPy's arrays leave every operation with one to it
+    __hash__ = None  # type: ignore[assignment]
+
+    def __init__(self, value: Any, tangent: Any, level: int):
+        self.value, self.tangent, self.level = value, tangent, level
+
+    def __repr__(self) -> str:
+        return f"Dual({self.value!r}, {self.tangent!r}, level {self.level})"
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The value's."""
+        return np.shape(self.value)
+
+    @property
+    def ndim(self) -> int:
+        """The value's."""
+        return len(self.shape)
+
+    def __neg__(self) -> Any:
+        return Dual(-self.value, -self.tangent, self.level)
+
+    def __pos__(self) -> Any:
+        return self
+
+    def __add__(self, other: Any) -> Any:
+        level = _higher(self, other)
+        (a, da), (b, db) = split(self, level), split(other, level)
+        return Dual(a + b, db if da is None else da if db is None else da + db, level)
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Any) -> Any:
+        level = _higher(self, other)
+        (a, da), (b, db) = split(self, level), split(other, level)
+        return Dual(a - b, -db if da is None else da if db is None else da - db, level)
+
+    def __rsub__(self, other: Any) -> Any:
+        return -self + other
+
+    def __mul__(self, other: Any) -> Any:
+        level = _higher(self, other)
+        (a, da), (b, db) = split(self, level), split(other, level)
+        if da is None:
+            return Dual(a * b, a * db, level)
+        return Dual(a * b, da * b if db is None else da * b + a * db, level)
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Any) -> Any:
+        return divide(self, other)
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return divide(other, self)
+
+    def __pow__(self, power: int) -> Any:
+        slope = power * self.value ** (power - 1) if power != 2 else 2 * self.value
+        return Dual(self.value**power, slope * self.tangent, self.level)
+
+    def __lt__(self, other: Any) -> Any:
+        return plain(self) < plain(other)
+
+    def __le__(self, other: Any) -> Any:
+        return plain(self) <= plain(other)
+
+    def __gt__(self, other: Any) -> Any:
+        return plain(self) > plain(other)
+
+    def __ge__(self, other: Any) -> Any:
+        return plain(self) >= plain(other)
+
+    def __eq__(self, other: Any) -> Any:
+        return plain(self) == plain(other)
+
+    def __ne__(self, other: Any) -> Any:
+        return plain(self) != plain(other)
+
+
+def divide(x: Any, y: Any) -> Any:
+    """x / y, where one of them is a dual number at least."""
+    level = _higher(x, y)
+    (a, da), (b, db) = split(x, level), split(y, level)
+    q = a / b
+    if db is None:
+        return Dual(q, da / b, level)
+    fall = -q * db
+    return Dual(q, (fall if da is None else da + fall) / b, level)
+
+
+def _higher(x: Any, y: Any) -> int:
+    if type(x) is not Dual:
+        return y.level
+    return max(x.level, y.level) if type(y) is Dual else x.level
+
+
+def highest(args: Any) -> int:
+    """The highest level among some numbers; 0 where none is dual."""
+    level = 0
+    for x in args:
+        if type(x) is Dual and x.level > level:
+            level = x.level
+    return level
+
+
+def split(x: Any, level: int) -> tuple[Any, Any]:
+    """(value, tangent) as the derivative of this level sees a number; no tangent (None) where it
+    does not change."""
+    if type(x) is Dual and x.level == level:
+        return x.value, x.tangent
+    return x, None
+
+
+def plain(x: Any) -> Any:
+    """The number itself, without any tangent."""
+    while type(x) is Dual:
+        x = x.value
+    return x
