@@ -12,10 +12,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from difffric.compute import arrays as xp
 from difffric.errors import InputError
 from difffric.rig import parameters
 from difffric.rig.parameters import PARAMETERS
@@ -55,13 +55,13 @@ def to_coordinate(name: str, value: ArrayLike) -> NDArray:
 def to_value(name: str, coordinate: Any) -> Any:
     """The value [SI] of a coordinate; traceable."""
     step = linear_step(name)
-    return jnp.exp(coordinate) if step is None else step * coordinate
+    return xp.exp(coordinate) if step is None else step * coordinate
 
 
 def shift_value(name: str, value: Any, shift: Any) -> Any:
     """The value [SI] that lies `shift` coordinates beyond a value [SI]; traceable."""
     step = linear_step(name)
-    return value * jnp.exp(shift) if step is None else value + step * shift
+    return value * xp.exp(shift) if step is None else value + step * shift
 
 
 def has_vanished(label: str, coordinate: float) -> bool:

@@ -8,13 +8,12 @@ inner ones first.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-import equinox as eqx
-import jax.numpy as jnp
-
+from difffric.compute.number_tree import put_parts
 from difffric.errors import InputError
 from difffric.rig import contact, friction, pusher, sensors
 from difffric.rig.rig import Rig
@@ -33,7 +32,7 @@ class Key:
     typical: float
     """a size that one may meet"""
     lower: float = 0.0
-    upper: float = jnp.inf
+    upper: float = math.inf
     inverse: bool = False
     """whether the law holds the number's inverse, so that its null is a number"""
     fixed: bool = False
@@ -224,9 +223,8 @@ def extended(rig: Rig, effects: Mapping[str, Mapping[str, Any]]) -> Rig:
         known = ", ".join([*CATALOGUE, RATIO])
         raise InputError(f"no such effect: {', '.join(unknown)}; known: {known}")
     if RATIO in effects:
-        rig = eqx.tree_at(
-            lambda r: friction.innermost(r.friction).mu_k_over_mu_s, rig, effects[RATIO]["ratio"]
-        )
+        ratio = effects[RATIO]["ratio"]
+        rig = put_parts(rig, lambda r: [friction.innermost(r.friction).mu_k_over_mu_s], [ratio])
     for effect in _LIST:
         if effect.id in effects:
             rig = _around(rig, effect, effects[effect.id])
@@ -254,7 +252,7 @@ def _around(rig: Rig, effect: Effect, values: Mapping[str, Any]) -> Rig:
             fields[key.field] = key.to_law(value)
     fields |= {name: values[name] for name in effect.given if name in values}
     law = effect.law(getattr(rig, effect.component), **fields)
-    return eqx.tree_at(lambda r: getattr(r, effect.component), rig, law)
+    return replace(rig, **{effect.component: law})
 
 
 KEYS: dict[str, tuple[Effect, Key]] = {
@@ -301,7 +299,7 @@ def with_numbers(rig: Rig, numbers: Mapping[str, Any]) -> Rig:
     """The rig with the laws' own numbers replaced, by parameter name: the inverse of an
     acceleration, for example, whose null is 0 and not infinite."""
     wheres = [where(name)[0] for name in numbers]
-    return eqx.tree_at(lambda r: [at(r) for at in wheres], rig, list(numbers.values()))
+    return put_parts(rig, lambda r: [at(r) for at in wheres], list(numbers.values()))
 
 
 def _find_law(rig: Rig, effect: Effect) -> Any:

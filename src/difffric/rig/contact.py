@@ -5,20 +5,18 @@ branches, because one smooth right-hand side a mode is what makes derivatives ex
 The effects below are laws around a law.
 """
 
-# No `from __future__ import annotations`: Equinox does not see an AbstractVar in text.
+from __future__ import annotations
 
 import abc
 from typing import ClassVar
 
-import equinox as eqx
-import jax.numpy as jnp
-from jaxtyping import Array, Bool
-
+from difffric.compute import arrays as xp
+from difffric.compute.number_tree import NumberTree
 from difffric.compute.smooth_extension import power
-from difffric.rig.number import Number
+from difffric.rig.number import Number, Truth
 
 
-class AbstractContact(eqx.Module):
+class AbstractContact(NumberTree, abc.ABC):
     """A contact law: a force [N] that only pushes, zero without contact (z < 0).
 
     To add one, subclass, give it its parameters as fields (SI units) and `approach`;
@@ -41,7 +39,7 @@ class AbstractContact(eqx.Module):
 
     def edge(self, w: Number) -> Number:
         """The compression [m] at which contact is lost in a rebound at w < 0; 0 for w >= 0."""
-        return jnp.zeros_like(w)
+        return xp.zeros_like(w)
 
     @property
     def gap(self) -> Number:
@@ -49,19 +47,19 @@ class AbstractContact(eqx.Module):
         return 0.0
 
     @property
-    def rough(self) -> Bool[Array, ""]:
+    def rough(self) -> Truth:
         """Whether the law may not be smooth at z = 0, as a power is not."""
-        return jnp.asarray(True)
+        return xp.asarray(True)
 
     @property
-    def damped(self) -> Bool[Array, ""]:
+    def damped(self) -> Truth:
         """Whether `edge` may lie beyond z = 0."""
-        return jnp.asarray(False)
+        return xp.asarray(False)
 
     def __call__(self, z: Number, w: Number) -> Number:
         """The whole law: both branches and the loss of contact."""
-        pushed = jnp.where(w >= 0, self.approach(z, w), self.rebound(z, w))
-        return jnp.where(z >= self.edge(w), pushed, 0.0)
+        pushed = xp.where(w >= 0, self.approach(z, w), self.rebound(z, w))
+        return xp.where(z >= self.edge(w), pushed, 0.0)
 
 
 class UnilateralSpringDamper(AbstractContact):
@@ -81,14 +79,14 @@ class UnilateralSpringDamper(AbstractContact):
         return self.k * z
 
     @property
-    def rough(self) -> Bool[Array, ""]:
-        return jnp.asarray(False)
+    def rough(self) -> Truth:
+        return xp.asarray(False)
 
 
 class AbstractContactEffect(AbstractContact):
     """A law around another one, `law`; what an effect does not override is that law's own."""
 
-    law: eqx.AbstractVar[AbstractContact]
+    law: AbstractContact
 
     @property
     def continues(self) -> bool:
@@ -108,11 +106,11 @@ class AbstractContactEffect(AbstractContact):
         return self.law.gap
 
     @property
-    def rough(self) -> Bool[Array, ""]:
+    def rough(self) -> Truth:
         return self.law.rough
 
     @property
-    def damped(self) -> Bool[Array, ""]:
+    def damped(self) -> Truth:
         return self.law.damped
 
 
@@ -126,16 +124,16 @@ class ReboundDamping(AbstractContactEffect):
     share: Number = 0.0
 
     @property
-    def damped(self) -> Bool[Array, ""]:
-        return jnp.asarray(self.share) > 0
+    def damped(self) -> Truth:
+        return xp.asarray(self.share) > 0
 
     def rebound(self, z: Number, w: Number) -> Number:
-        damper = self.law.approach(z, w) - self.law.approach(z, jnp.zeros_like(w))
+        damper = self.law.approach(z, w) - self.law.approach(z, xp.zeros_like(w))
         return self.law.rebound(z, w) + self.share * damper
 
     def edge(self, w: Number) -> Number:
-        zero = jnp.zeros_like(w)
-        damper = self.law.approach(zero, jnp.minimum(w, 0.0)) - self.law.approach(zero, zero)
+        zero = xp.zeros_like(w)
+        damper = self.law.approach(zero, xp.minimum(w, 0.0)) - self.law.approach(zero, zero)
         stiffness = self.law.rebound(zero + 1.0, zero) - self.law.rebound(zero, zero)
         return self.law.edge(w) - self.share * damper / stiffness
 
@@ -152,8 +150,8 @@ class Hardening(AbstractContactEffect):
     z_r: ClassVar[float] = 1e-4
 
     @property
-    def rough(self) -> Bool[Array, ""]:
-        return jnp.asarray(self.exponent != 1.0)
+    def rough(self) -> Truth:
+        return xp.asarray(self.exponent != 1.0)
 
     def _soften(self, z: Number) -> Number:
         return self.z_r * power(z / self.z_r, self.exponent)

@@ -8,14 +8,13 @@ quantity that the law depends on.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
+from difffric.compute import arrays as xp
+from difffric.compute.number_tree import NumberTree, put_parts
 from difffric.rig.catalogue import CONTACT, FORCE, FRICTION, PROBE, PUSHER
 from difffric.rig.contact import AbstractContact, AbstractContactEffect
 from difffric.rig.friction import AbstractFriction, AbstractFrictionEffect
@@ -34,20 +33,21 @@ SPLINES = 8
 """How many make up a curve."""
 
 
-class Curve(eqx.Module):
+class Curve(NumberTree):
     """g(x) = sum_k c_k B(s (n - 1) - k), s = log(1 + x / bend) / log(1 + end / bend) within 0..1:
     fine below `bend`, coarser towards `end`, and constant beyond."""
 
-    c: Float[Array, " n"]
+    c: Any
+    """(n,)"""
     end: Any
     bend: Any
 
     def __call__(self, x: Number) -> Number:
-        s = jnp.log1p(jnp.maximum(x, 0.0) / self.bend) / jnp.log1p(self.end / self.bend)
-        at = jnp.minimum(s, 1.0)[..., None] * (SPLINES - 1) - jnp.arange(SPLINES)
-        away = jnp.abs(at)
-        B = (jnp.maximum(2 - away, 0.0) ** 3 - 4 * jnp.maximum(1 - away, 0.0) ** 3) / 6
-        return jnp.sum(self.c * B, axis=-1)
+        s = xp.log1p(xp.maximum(x, 0.0) / self.bend) / xp.log1p(self.end / self.bend)
+        at = xp.minimum(s, 1.0)[..., None] * (SPLINES - 1) - np.arange(SPLINES)
+        away = xp.abs(at)
+        B = (xp.maximum(2 - away, 0.0) ** 3 - 4 * xp.maximum(1 - away, 0.0) ** 3) / 6
+        return (self.c * B).sum(axis=-1)
 
 
 class FreeSpeed(AbstractFrictionEffect):
@@ -58,7 +58,7 @@ class FreeSpeed(AbstractFrictionEffect):
     affine: ClassVar[bool] = False
 
     def sliding(self, u: Number, F_N: Number) -> Number:
-        return self.law.sliding(u, F_N) + self.g(u) * self.law.sliding(jnp.zeros_like(u), F_N)
+        return self.law.sliding(u, F_N) + self.g(u) * self.law.sliding(xp.zeros_like(u), F_N)
 
 
 class FreePlace(AbstractFrictionEffect):
@@ -104,7 +104,7 @@ class FreeForce(AbstractForceEffect):
     g: Any = None
 
     def read(self, f: Number) -> Number:
-        return self.law.read(f * (1 + self.g(jnp.abs(f))))
+        return self.law.read(f * (1 + self.g(xp.abs(f))))
 
 
 class FreeProbe(AbstractProbeEffect):
@@ -168,9 +168,9 @@ def free_rig(rig: Rig, scales: Scales) -> Rig:
     """The rig with all forms, at zero."""
     for form in FORMS.values():
         end, bend = form.over(scales)
-        curve = Curve(jnp.zeros(SPLINES), end, bend)
+        curve = Curve(np.zeros(SPLINES), end, bend)
         law = form.law(getattr(rig, form.component), g=curve)
-        rig = eqx.tree_at(lambda r, c=form.component: getattr(r, c), rig, law)
+        rig = replace(rig, **{form.component: law})
     return rig
 
 
@@ -184,10 +184,10 @@ def curve_of(rig: Rig, form: str) -> Any:
 
 def with_coefficients(rig: Rig, new: dict[str, Any]) -> Rig:
     """The rig with the coefficients (SPLINES,) of some forms replaced."""
-    return eqx.tree_at(lambda r: [curve_of(r, form).c for form in new], rig, list(new.values()))
+    return put_parts(rig, lambda r: [curve_of(r, form).c for form in new], list(new.values()))
 
 
 def basis(form: str, scales: Scales, x: np.ndarray) -> np.ndarray:
     """(len(x), SPLINES): the curve at x is this times its coefficients."""
-    curves = [Curve(jnp.asarray(row), *FORMS[form].over(scales)) for row in np.eye(SPLINES)]
-    return np.stack([np.asarray(g(jnp.asarray(x))) for g in curves], axis=1)
+    curves = [Curve(row, *FORMS[form].over(scales)) for row in np.eye(SPLINES)]
+    return np.stack([g(np.asarray(x)) for g in curves], axis=1)

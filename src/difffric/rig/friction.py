@@ -3,20 +3,20 @@
 The effects below are laws around a law: each changes what it is about and hands on the rest.
 """
 
-# No `from __future__ import annotations`: Equinox does not see an AbstractVar in text.
+from __future__ import annotations
 
 import abc
+from math import inf, pi
 from typing import Any, ClassVar
 
-import equinox as eqx
-import jax.numpy as jnp
-
+from difffric.compute import arrays as xp
 from difffric.compute.elementary_functions import sin_cos
+from difffric.compute.number_tree import NumberTree
 from difffric.compute.smooth_extension import power
 from difffric.rig.number import Number, Truth
 
 
-class AbstractFriction(eqx.Module):
+class AbstractFriction(NumberTree, abc.ABC):
     """A friction law.
 
     To add one, subclass, give it its parameters as fields (SI units) and the first two methods
@@ -58,7 +58,7 @@ class AbstractFriction(eqx.Module):
     @property
     def edge(self) -> Number:
         """The position at which the load jumps [m]."""
-        return jnp.inf
+        return inf
 
 
 class ViscousCoulomb(AbstractFriction):
@@ -89,7 +89,7 @@ class ViscousCoulomb(AbstractFriction):
 class AbstractFrictionEffect(AbstractFriction):
     """A law around another one, `law`; what an effect does not override is that law's own."""
 
-    law: eqx.AbstractVar[AbstractFriction]
+    law: AbstractFriction
 
     @property
     def affine(self) -> bool:
@@ -134,10 +134,10 @@ class Tilt(AbstractFrictionEffect):
     alpha: Number = 0.0
 
     def load(self, weight: Number, x: Number, beyond: Truth) -> Number:
-        return self.law.load(weight * jnp.cos(self.alpha), x, beyond)
+        return self.law.load(weight * xp.cos(self.alpha), x, beyond)
 
     def slope(self, weight: Number) -> Number:
-        return self.law.slope(weight) + weight * jnp.sin(self.alpha)
+        return self.law.slope(weight) + weight * xp.sin(self.alpha)
 
 
 class ExtraLoad(AbstractFrictionEffect):
@@ -183,7 +183,7 @@ class Waviness(AbstractFrictionEffect):
     uneven: ClassVar[bool] = True
 
     def load(self, weight: Number, x: Number, beyond: Truth) -> Number:
-        wave, _ = sin_cos(2 * jnp.pi * x / self.wavelength + self.phase)
+        wave, _ = sin_cos(2 * pi * x / self.wavelength + self.phase)
         return self.law.load(weight, x, beyond) * (1 + self.amplitude * wave)
 
 
@@ -195,12 +195,12 @@ class Patch(AbstractFrictionEffect):
 
     law: AbstractFriction
     amplitude: Number = 0.0
-    start: Number = jnp.inf
+    start: Number = inf
     affine: ClassVar[bool] = False
     uneven: ClassVar[bool] = True
 
     def load(self, weight: Number, x: Number, beyond: Truth) -> Number:
-        return self.law.load(weight, x, beyond) * (1 + jnp.where(beyond, self.amplitude, 0.0))
+        return self.law.load(weight, x, beyond) * (1 + xp.where(beyond, self.amplitude, 0.0))
 
     @property
     def edge(self) -> Number:
@@ -221,12 +221,12 @@ class Stribeck(AbstractFrictionEffect):
 
     def sliding(self, u: Number, F_N: Number) -> Number:
         falls = self.v_s > 0
-        ratio = u / jnp.where(falls, self.v_s, 1.0)
+        ratio = u / xp.where(falls, self.v_s, 1.0)
         bent = ratio * ratio  # even in u, for any delta
         if self.delta is not None:
             bent = power(bent, 0.5 * self.delta)
-        rise = self.law.breakaway(F_N) - self.law.sliding(jnp.zeros_like(u), F_N)
-        return self.law.sliding(u, F_N) + jnp.where(falls, rise * jnp.exp(-bent), 0.0)
+        rise = self.law.breakaway(F_N) - self.law.sliding(xp.zeros_like(u), F_N)
+        return self.law.sliding(u, F_N) + xp.where(falls, rise * xp.exp(-bent), 0.0)
 
 
 class QuadraticDrag(AbstractFrictionEffect):
@@ -259,7 +259,7 @@ class Dwell(AbstractFrictionEffect):
     uneven: ClassVar[bool] = True
 
     def first_breakaway(self, F_N: Number) -> Number:
-        grown = 1 + self.amplitude * jnp.log1p(self.rest / self.tau)
+        grown = 1 + self.amplitude * xp.log1p(self.rest / self.tau)
         return self.law.first_breakaway(F_N) * grown
 
 
@@ -281,7 +281,7 @@ class Presliding(AbstractFrictionEffect):
 
     def bend(self, u: Number, way: Number, q: Number, F_N: Number) -> tuple[Number, Number]:
         """(friction force [N], q' [m/s]) at the deflection q [m], where u has the sign `way`."""
-        slip = self.law.sliding(jnp.zeros_like(u), F_N)
+        slip = self.law.sliding(xp.zeros_like(u), F_N)
         held = self.stiffness * q
         dq = u * (1 - way * held / slip)
         rest = way * (self.law.sliding(way * u, F_N) - slip)

@@ -17,8 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import equinox as eqx
-
+from difffric.compute.number_tree import put_parts
 from difffric.errors import InputError
 from difffric.rig import catalogue
 from difffric.rig.catalogue import Effect, Key
@@ -253,9 +252,9 @@ def with_push(rig: Rig, numbers: Mapping[str, Any], stroke: Any) -> Rig:
     The names are not checked.
     """
     places = [_place(name)[0] for name in numbers]
-    return eqx.tree_at(
-        lambda r: [*(at(r) for at in places), innermost(r.pusher)],
+    return put_parts(
         rig,
+        lambda r: [*(at(r) for at in places), innermost(r.pusher)],
         [*numbers.values(), ConstantSpeed(stroke)],
     )
 
@@ -272,7 +271,7 @@ def _put(rig: Rig, new: Mapping[str, Any]) -> Rig:
         return rig
     places = [_place(name) for name in new]
     numbers = [to_law(x) for (_, to_law), x in zip(places, new.values(), strict=True)]
-    return eqx.tree_at(lambda r: [at(r) for at, _ in places], rig, numbers)
+    return put_parts(rig, lambda r: [at(r) for at, _ in places], numbers)
 
 
 def _place(name: str) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
@@ -285,4 +284,4 @@ def _place(name: str) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
 
 def with_stroke(rig: Rig, stroke: Any) -> Rig:
     """The rig whose pusher stops after `stroke` [m]; None: at the first loss of contact."""
-    return eqx.tree_at(lambda r: innermost(r.pusher), rig, ConstantSpeed(stroke))
+    return put_parts(rig, lambda r: [innermost(r.pusher)], [ConstantSpeed(stroke)])

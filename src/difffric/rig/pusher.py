@@ -4,37 +4,40 @@ y is the tip's travel [m], V its speed [m/s] before any ripple, v the commanded 
 The effects below are pushers around a pusher.
 """
 
-# No `from __future__ import annotations`: Equinox does not see an AbstractVar in text.
+from __future__ import annotations
 
+import abc
+from math import inf, pi
 from typing import ClassVar
 
-import equinox as eqx
-import jax.numpy as jnp
-
+from difffric.compute import arrays as xp
 from difffric.compute.elementary_functions import sin_cos
+from difffric.compute.number_tree import NumberTree
 from difffric.rig.number import Number, Truth
 
 
-class AbstractPusher(eqx.Module):
+class AbstractPusher(NumberTree, abc.ABC):
     """A pusher: the travel of its tip over the time.
 
     A pusher that keeps one speed has only a `stroke`; the other methods say how the speed
     differs from the commanded one, and each may stay as it is.
     """
 
-    stroke: eqx.AbstractVar[Number | None]
-    """the travel [m] at which the tip stops; None: at the first loss of contact"""
-
     constant: ClassVar[bool] = True
     """whether the tip keeps one speed until it stands"""
 
+    @property
+    @abc.abstractmethod
+    def stroke(self) -> Number | None:
+        """The travel [m] at which the tip stops; None: at the first loss of contact."""
+
     def stop_time(self, v: Number) -> Number:
         """Time [s] at which the stroke ends at the speed v [m/s]; infinite without one."""
-        return jnp.inf if self.stroke is None else self.stroke / v
+        return inf if self.stroke is None else self.stroke / v
 
     def stops_at_release(self) -> Truth:
         """Whether the tip stands at the first loss of contact."""
-        return True if self.stroke is None else jnp.isinf(self.stroke)
+        return True if self.stroke is None else xp.isinf(self.stroke)
 
     def speed(self, velocity: Number) -> Number:
         """v, the speed [m/s] that a commanded one comes to."""
@@ -74,7 +77,7 @@ class ConstantSpeed(AbstractPusher):
 class AbstractPusherEffect(AbstractPusher):
     """A pusher around another one, `law`; what an effect does not override is that one's own."""
 
-    law: eqx.AbstractVar[AbstractPusher]
+    law: AbstractPusher
 
     @property
     def constant(self) -> bool:
@@ -174,22 +177,22 @@ class Ripple(AbstractPusherEffect):
     constant: ClassVar[bool] = False
 
     def ripple(self, y: Number) -> Number:
-        wave, _ = sin_cos(2 * jnp.pi * y / self.period + self.phase)
+        wave, _ = sin_cos(2 * pi * y / self.period + self.phase)
         return self.law.ripple(y) * (1 + self.amplitude * wave)
 
 
 def _decay(t: Number, tau: Number) -> Number:
     """exp(-t / tau), 0 for tau = 0."""
     lags = tau > 0
-    return jnp.where(lags, jnp.exp(-t / jnp.where(lags, tau, 1.0)), 0.0)
+    return xp.where(lags, xp.exp(-t / xp.where(lags, tau, 1.0)), 0.0)
 
 
 def _follow_ramp(t: Number, v: Number, t_r: Number, tau: Number, risen: Truth) -> Number:
     """First-order lag's answer to a ramp of duration t_r, then v: the answer to a step,
     v (1 - exp(-t / tau)), averaged over the last t_r."""
     ramps = t_r > 0
-    safe = jnp.where(ramps, t_r, 1.0)
+    safe = xp.where(ramps, t_r, 1.0)
     rising = v / safe * (t - tau * (1 - _decay(t, tau)))
-    since = jnp.where(risen, t - t_r, 0.0)
-    left = jnp.where(ramps, tau / safe * (1 - _decay(safe, tau)), 1.0)
-    return jnp.where(risen, v * (1 - _decay(since, tau) * left), rising)
+    since = xp.where(risen, t - t_r, 0.0)
+    left = xp.where(ramps, tau / safe * (1 - _decay(safe, tau)), 1.0)
+    return xp.where(risen, v * (1 - _decay(since, tau) * left), rising)

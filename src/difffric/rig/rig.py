@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
-
+from difffric.compute.number_tree import NumberTree
 from difffric.rig import force_balance
 from difffric.rig.contact import UnilateralSpringDamper
 from difffric.rig.friction import ViscousCoulomb
@@ -15,7 +14,7 @@ from difffric.rig.sensors import ForceSensor, Probe
 from difffric.units import GRAVITY
 
 
-class Rig(eqx.Module):
+class Rig(NumberTree):
     """A part on rails in front of a push tip. All fields in SI units.
 
     Every number in it may be a Python float or a JAX value, so a rig can be differentiated

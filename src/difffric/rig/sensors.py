@@ -3,36 +3,48 @@
 The effects below are sensors around a sensor, as in the other modules.
 """
 
-# No `from __future__ import annotations`: Equinox does not see an AbstractVar in text.
+from __future__ import annotations
 
+import abc
+from math import inf
 from typing import ClassVar
 
-import equinox as eqx
-import jax.numpy as jnp
-
+from difffric.compute import arrays as xp
+from difffric.compute.number_tree import NumberTree
 from difffric.rig.number import Number
 
 
-class AbstractForceSensor(eqx.Module):
+class AbstractForceSensor(NumberTree, abc.ABC):
     """A force sensor: its limits, and what it reads of a force.
 
     One that reads the force itself has only the four numbers; the other methods say how a reading
     differs, and each may stay as it is.
     """
 
-    sensitivity: eqx.AbstractVar[float]
-    """[V/N]"""
-    range: eqx.AbstractVar[float]
-    """[N], either sign"""
-    rate: eqx.AbstractVar[float]
-    """[Hz]"""
-    noise: eqx.AbstractVar[float | None]
-    """standard deviation of one sample [N]; None: not known"""
-
     filtered: ClassVar[bool] = False
     """whether a reading depends on what was before it"""
     sampled: ClassVar[bool] = False
     """whether a peak is read off samples"""
+
+    @property
+    @abc.abstractmethod
+    def sensitivity(self) -> float:
+        """[V/N]."""
+
+    @property
+    @abc.abstractmethod
+    def range(self) -> float:
+        """[N], either sign."""
+
+    @property
+    @abc.abstractmethod
+    def rate(self) -> float:
+        """[Hz]."""
+
+    @property
+    @abc.abstractmethod
+    def noise(self) -> float | None:
+        """Standard deviation of one sample [N]; None: not known."""
 
     def read(self, f: Number) -> Number:
         """The reading [N] of a force [N] that has passed the filters."""
@@ -66,7 +78,7 @@ class ForceSensor(AbstractForceSensor):
 class AbstractForceEffect(AbstractForceSensor):
     """A sensor around another one, `law`; what an effect does not override is that one's own."""
 
-    law: eqx.AbstractVar[AbstractForceSensor]
+    law: AbstractForceSensor
 
     @property
     def sensitivity(self) -> float:
@@ -162,10 +174,10 @@ class Saturation(AbstractForceEffect):
     """Readings are clipped at a level [N], either sign; null: infinite."""
 
     law: AbstractForceSensor
-    level: Number = jnp.inf
+    level: Number = inf
 
     def read(self, f: Number) -> Number:
-        return jnp.clip(self.law.read(f), -self.level, self.level)
+        return xp.clip(self.law.read(f), -self.level, self.level)
 
 
 class SampledPeak(AbstractForceEffect):
@@ -183,20 +195,25 @@ class SampledPeak(AbstractForceEffect):
         return self.spacing
 
 
-class AbstractProbe(eqx.Module):
+class AbstractProbe(NumberTree, abc.ABC):
     """A probe: its resolution, and what it reads of a position.
 
     One that reads the position itself has only the two numbers; the other methods say how a
     reading differs, and each may stay as it is.
     """
 
-    resolution: eqx.AbstractVar[float]
-    """[m]"""
-    noise: eqx.AbstractVar[float | None]
-    """standard deviation of one reading [m]; None: not known"""
-
     late: ClassVar[bool] = False
     """whether a distance starts anywhere but at the loss of contact"""
+
+    @property
+    @abc.abstractmethod
+    def resolution(self) -> float:
+        """[m]."""
+
+    @property
+    @abc.abstractmethod
+    def noise(self) -> float | None:
+        """Standard deviation of one reading [m]; None: not known."""
 
     def read(self, x: Number) -> Number:
         """The reading [m] of a position x [m] since the start of the push."""
@@ -223,7 +240,7 @@ class Probe(AbstractProbe):
 class AbstractProbeEffect(AbstractProbe):
     """A probe around another one, `law`; what an effect does not override is that one's own."""
 
-    law: eqx.AbstractVar[AbstractProbe]
+    law: AbstractProbe
 
     @property
     def resolution(self) -> float:

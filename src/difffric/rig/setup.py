@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from jax.core import Tracer
 
+from difffric.compute.number_tree import is_traced
 from difffric.errors import InputError
 from difffric.rig.quantities import OF_EFFECTS, PLAIN, STROKE, effects_of, has_plain_law
 from difffric.rig.rig import Rig
@@ -50,7 +50,7 @@ def check_rig(rig: Rig) -> Rig:
         if q.section in ("force_sensor", "probe") or not has_plain_law(rig, q.section):
             continue
         value = q.of(Setup(rig))
-        if q.key == "mu_s_scatter" or isinstance(value, Tracer) or (q is STROKE and value is None):
+        if q.key == "mu_s_scatter" or is_traced(value) or (q is STROKE and value is None):
             continue
         x = np.asarray(value)
         if x.dtype.kind not in "iuf":

@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jax.core import Tracer
 
 from difffric.atomic_files import write_whole
+from difffric.compute.number_tree import is_traced
 from difffric.errors import InputError
 from difffric.rig import catalogue
 from difffric.rig.friction import innermost
@@ -173,7 +173,7 @@ def _format_value(q: AbstractSetupQuantity, value: Any, extras: Extras | None) -
     if value is not None:
         if np.ndim(value):
             raise InputError(f"expected one number, got an array of shape {np.shape(value)}")
-        if isinstance(value, Tracer) or np.asarray(value).dtype.kind not in "iuf":
+        if is_traced(value) or np.asarray(value).dtype.kind not in "iuf":
             raise InputError(f"expected a number, got {value!r}")
         number = q.text(float(value))
     if extras is None:
