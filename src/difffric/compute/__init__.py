@@ -2,9 +2,10 @@
 here.
 
 Written once, run by either
-: `arrays` are the functions of arrays that an equation is written with: JAX runs it, or NumPy, which
-  gives exact derivatives with `dual_numbers`. `elementary_functions` are sine, arctangent, logarithm
-  and quotient likewise, `written_out` what they are for JAX, so that they vectorise.
+: `arrays` are the functions of arrays that an equation is written with: JAX runs it, or NumPy,
+  which gives exact derivatives with `dual_numbers`. `elementary_functions` are sine, arctangent,
+  logarithm and quotient likewise, `written_out` what they are for JAX, so that they vectorise.
+  `lanes` are its loops and choices: a lane is one of the cases that go through it together.
 
 Compiling
 : `program_cache.cache_program` compiles a function and keeps its programs on disk, in folders that

@@ -87,8 +87,6 @@ round = _piecewise_constant("round")
 isfinite = _piecewise_constant("isfinite")
 isinf = _piecewise_constant("isinf")
 isnan = _piecewise_constant("isnan")
-zeros_like = _piecewise_constant("zeros_like")
-ones_like = _piecewise_constant("ones_like")
 
 
 def arctan2(y: Any, x: Any) -> Any:
@@ -155,6 +153,18 @@ def clip(x: Any, lower: Any, upper: Any) -> Any:
 def asarray(x: Any, dtype: Any = None) -> Any:
     """x as an array; a dual number is one."""
     return x if type(x) is Dual else _library(x).asarray(x, dtype)
+
+
+def zeros_like(x: Any, dtype: Any = None) -> Any:
+    """An array of x's shape that holds zeros."""
+    x = plain(x)
+    return _library(x).zeros_like(x, dtype)
+
+
+def ones_like(x: Any, dtype: Any = None) -> Any:
+    """An array of x's shape that holds ones."""
+    x = plain(x)
+    return _library(x).ones_like(x, dtype)
 
 
 def full_like(x: Any, value: Any, dtype: Any = None) -> Any:

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from math import factorial
+from typing import TYPE_CHECKING, NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from difffric.compute.elementary_functions import angle, polynomial, quotient
+from difffric.compute import arrays as xp
+from difffric.compute.arrays import polynomial, slope
+from difffric.compute.elementary_functions import angle, quotient
 from difffric.compute.event_root import find_falling_root
+from difffric.compute.pytrees import select
 from difffric.errors import InputError
 from difffric.rig.number import Number, Truth
 from difffric.rig.rig import Rig
 from difffric.simulation.events import Event
 from difffric.simulation.leg import Leg, first_event
 from difffric.simulation.oscillator import Oscillator, ViscousSlide
+
+if TYPE_CHECKING:
+    from jaxtyping import Array
 
 _SINE, _COSINE, _DECAY = (
     [sign**n / factorial(per * n + more) for n in range(5)]
@@ -34,17 +38,13 @@ def _oscillator(acceleration, v_p):
     def a(z, w):
         return acceleration(z, w, v_p - w)
 
-    a_z, a_w = _slope(lambda z: a(z, 0.0)), _slope(lambda w: a(0.0, w))
+    a_z, a_w = slope(lambda z: a(z, 0.0), v_p), slope(lambda w: a(0.0, w), v_p)
     return Oscillator(0.5 * a_w, a_z), -a(0.0, 0.0) * quotient(1.0, a_z)
 
 
-def _slide(rig):
-    return ViscousSlide(-rig.free(0.0), -_slope(rig.free))
-
-
-def _slope(law):
-    """Derivative of an affine law. Along one direction: `jacfwd` would make rows of a matrix."""
-    return jax.jvp(law, (0.0,), (1.0,))[1]
+def _slide(rig, u):
+    """The slide without contact, for a part of the speed u."""
+    return ViscousSlide(-rig.free(0.0), -slope(rig.free, u))
 
 
 def _gap(t, args):
@@ -67,10 +67,14 @@ def _undershoot(t, args):
     return v_p - p, -dp
 
 
-class ClosedForm(eqx.Module):
+class ClosedForm(NamedTuple):
     """Equation (2) with affine laws, solved on paper: exact to rounding, fast, and
     differentiable to any order in forward mode.
     """
+
+    def __bool__(self) -> bool:
+        """It is one, though it holds nothing."""
+        return True
 
     def check(self, rig: Rig) -> None:
         """Raise `InputError` where a law of the rig has no closed form."""
@@ -84,10 +88,10 @@ class ClosedForm(eqx.Module):
     def find_breakaway(self, rig: Rig, v_p: Number) -> Float[Array, ""]:
         """Compression [m] at which a part at rest starts to slide; 0: at once."""
         at_touch = rig.contact.approach(0.0, v_p)
-        stiffness = _slope(lambda z: rig.contact.approach(z, v_p))
+        stiffness = slope(lambda z: rig.contact.approach(z, v_p), v_p)
         F_S = rig.friction.breakaway(rig.F_N)
         sticks = F_S > at_touch
-        return jnp.where(sticks, (F_S - at_touch) * quotient(1.0, stiffness), 0.0)
+        return xp.where(sticks, (F_S - at_touch) * quotient(1.0, stiffness), 0.0)
 
     def follow_closing(
         self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number, may_halt: bool
@@ -97,114 +101,114 @@ class ClosedForm(eqx.Module):
         xi, w = z - z_e, v_p - u
         dw = -2 * osc.alpha * w - osc.omega0_sq * xi
         turn = _unless_steady(osc, xi, w, z_e, osc.turning_time(xi, w, 1.0))
-        halt = jnp.inf
+        halt = xp.inf
         if may_halt:  # not where one cycle is all: from rest the part only speeds up
             # With mu_k = mu_s the breakaway has no acceleration: its rounding is no fall.
             falling = dw > 1e-12 * osc.omega0_sq * z_e
-            top = osc.turning_time(w, jnp.where(falling, dw, 1.0), 1.0)
+            top = osc.turning_time(w, xp.where(falling, dw, 1.0), 1.0)
             # Masked by what holds in this mode, so that other lanes of a batch search for nothing.
             halts = (
                 falling
                 & (w < v_p)
                 & (v_p > 0)
-                & (osc.extremum(w, dw, jnp.where(falling, top, 0.0)) > v_p)
+                & (osc.extremum(w, dw, xp.where(falling, top, 0.0)) > v_p)
             )
-            top = jnp.where(halts, top, 0.0)
+            top = xp.where(halts, top, 0.0)
             args = (osc.alpha, osc.omega0_sq, w, dw, v_p)
-            halt = jnp.where(
-                halts, find_falling_root(_undershoot, args, 0.0, top, 0.5 * top), jnp.inf
+            halt = xp.where(
+                halts, find_falling_root(_undershoot, args, 0.0, top, 0.5 * top), xp.inf
             )
             # Caught as it comes to rest, its last speed lost in rounding.
-            halt = jnp.where(falling & (w >= v_p) & (v_p > 0), 0.0, halt)
+            halt = xp.where(falling & (w >= v_p) & (v_p > 0), 0.0, halt)
         dt, event = first_event((left, Event.STOP), (turn, Event.TURN), (halt, Event.HALT))
         at_turn = osc.extremum(xi, w, _finite(dt))
         if may_halt:
             p, dp = osc.flow(xi, w, _finite(dt))
             p, dp = (
-                jnp.where(event == Event.TURN, at_turn, p),
-                jnp.where(event == Event.TURN, 0.0, dp),
+                xp.where(event == Event.TURN, at_turn, p),
+                xp.where(event == Event.TURN, 0.0, dp),
             )
         else:
-            p, dp = at_turn, jnp.zeros_like(at_turn)  # without a stroke nothing else ends it
+            p, dp = at_turn, xp.zeros_like(at_turn)  # without a stroke nothing else ends it
         z_1 = z_e + p
-        u_1 = jnp.where(event == Event.TURN, v_p, jnp.where(event == Event.HALT, 0.0, v_p - dp))
+        u_1 = xp.where(event == Event.TURN, v_p, xp.where(event == Event.HALT, 0.0, v_p - dp))
         peak = self._find_peak(rig, osc, z_e, xi, w, dw, turn, dt, (p, dp))
         return Leg(dt, event, z_1, u_1, 0.0, peak)
 
     def _find_peak(self, rig, osc, z_e, xi, w, dw, turn, dt, end):
         """Largest contact force of a closing: the force obeys the same oscillator."""
-        k = _slope(lambda z: rig.contact.approach(z, 0.0))
-        b = _slope(lambda w: rig.contact.approach(0.0, w))
+        k = slope(lambda z: rig.contact.approach(z, 0.0), dt)
+        b = slope(lambda w: rig.contact.approach(0.0, w), dt)
         N_e = rig.contact.approach(z_e, 0.0)
         N, dN = k * xi + b * w, k * w + b * dw
         rises = dN > 0
-        top = osc.turning_time(jnp.where(rises, N, -1.0), jnp.where(rises, dN, 0.0), 1.0)
-        inside = rises & (top <= dt) & jnp.isfinite(top)
-        summit = osc.extremum(N, dN, jnp.where(inside, top, 0.0))
+        top = osc.turning_time(xp.where(rises, N, -1.0), xp.where(rises, dN, 0.0), 1.0)
+        inside = rises & (top <= dt) & xp.isfinite(top)
+        summit = osc.extremum(N, dN, xp.where(inside, top, 0.0))
         # Overdamped, the force may dip first, and creep up to its equilibrium without an end.
-        at_end = jnp.where(jnp.isinf(dt), 0.0, k * end[0] + b * end[1])
-        return N_e + jnp.where(inside, summit, jnp.where(at_end > N, at_end, N))
+        at_end = xp.where(xp.isinf(dt), 0.0, k * end[0] + b * end[1])
+        return N_e + xp.where(inside, summit, xp.where(at_end > N, at_end, N))
 
     def follow_rebounding(self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number) -> Leg:
         """The part recedes from the tip, until release, w = 0 or the pusher's stop."""
         osc, z_e = _oscillator(rig.rebounding, v_p)
         xi, w = z - z_e, v_p - u
         turn = _unless_steady(osc, xi, w, z_e, osc.turning_time(xi, w, -1.0))
-        finite = jnp.isfinite(turn)
-        t_turn = jnp.where(finite, turn, 0.0)
+        finite = xp.isfinite(turn)
+        t_turn = xp.where(finite, turn, 0.0)
         depth = osc.extremum(xi, w, t_turn)
         leaves = finite & (depth >= z_e) & (z >= 0) & (w <= 0)
-        guess = t_turn - _release_phase(osc, z_e, jnp.where(leaves, depth, z_e))
+        guess = t_turn - _release_phase(osc, z_e, xp.where(leaves, depth, z_e))
         args = (osc.alpha, osc.omega0_sq, xi, w, z_e)
-        upto = jnp.where(leaves, t_turn, 0.0)
+        upto = xp.where(leaves, t_turn, 0.0)
         parting = find_falling_root(_compression, args, 0.0, upto, guess, 1)
-        release = jnp.where(leaves, parting, jnp.inf)
-        ends = (release, Event.RELEASE), (jnp.where(leaves, jnp.inf, turn), Event.TURN)
+        release = xp.where(leaves, parting, xp.inf)
+        ends = (release, Event.RELEASE), (xp.where(leaves, xp.inf, turn), Event.TURN)
         if rig.pusher.stroke is None:  # no stop: what the root was found with serves again
             dt, event = first_event(*ends)
             p, dp = osc.flow(xi, w, parting)
         else:
             dt, event = first_event((left, Event.STOP), *ends)
             p, dp = osc.flow(xi, w, _finite(dt))
-        p = jnp.where(event == Event.TURN, -depth, p)
-        z_1 = jnp.where(event == Event.RELEASE, 0.0, z_e + p)
-        u_1 = jnp.where(event == Event.TURN, v_p, v_p - dp)
+        p = xp.where(event == Event.TURN, -depth, p)
+        z_1 = xp.where(event == Event.RELEASE, 0.0, z_e + p)
+        u_1 = xp.where(event == Event.TURN, v_p, v_p - dp)
         return Leg(dt, event, z_1, u_1, 0.0, 0.0)
 
     def follow_free(
         self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number, may_catch: bool
     ) -> Leg:
         """The part slides without contact, until rest, the pusher's stop or the next contact."""
-        slide = _slide(rig)
+        slide = _slide(rig, u)
         t_rest, s_rest = slide.rest(u)
         if not may_catch:
-            return Leg(t_rest, jnp.full_like(left, Event.HALT, int), z - s_rest, 0.0, s_rest, 0.0)
-        horizon = jnp.minimum(t_rest, left)
+            return Leg(t_rest, xp.full_like(left, Event.HALT, int), z - s_rest, 0.0, s_rest, 0.0)
+        horizon = xp.minimum(t_rest, left)
         args = (*slide, u, -z, v_p)
         caught = (v_p > 0) & (z <= 0) & (_gap(horizon, args)[0] <= 0)
         # The gap is concave: it grows until u = v_p, and falls ever faster from there.
         level = slide.drag + slide.rate * v_p
-        since = jnp.where(caught & (u > v_p), ViscousSlide(level, slide.rate).rest(u - v_p)[0], 0.0)
-        upto = jnp.where(caught, horizon, 0.0)
-        catch = jnp.where(caught, find_falling_root(_gap, args, since, upto, upto), jnp.inf)
+        since = xp.where(caught & (u > v_p), ViscousSlide(level, slide.rate).rest(u - v_p)[0], 0.0)
+        upto = xp.where(caught, horizon, 0.0)
+        catch = xp.where(caught, find_falling_root(_gap, args, since, upto, upto), xp.inf)
         dt, event = first_event((left, Event.STOP), (catch, Event.CATCH), (t_rest, Event.HALT))
         s, u_1 = slide.flow(u, dt)
-        s = jnp.where(event == Event.HALT, s_rest, s)
-        z_1 = jnp.where(event == Event.CATCH, 0.0, z + v_p * dt - s)
-        return Leg(dt, event, z_1, jnp.where(event == Event.HALT, 0.0, u_1), s, 0.0)
+        s = xp.where(event == Event.HALT, s_rest, s)
+        z_1 = xp.where(event == Event.CATCH, 0.0, z + v_p * dt - s)
+        return Leg(dt, event, z_1, xp.where(event == Event.HALT, 0.0, u_1), s, 0.0)
 
     def evaluate_pushed(
         self, rig: Rig, closing: Truth, z: Number, u: Number, v_p: Number, t: Number
     ) -> tuple[Array, Array]:
         """(z, u) at the time t into a pushed leg; the oscillator is chosen, not its solution."""
         legs = _oscillator(rig.approaching, v_p), _oscillator(rig.rebounding, v_p)
-        osc, z_e = jax.tree.map(lambda a, b: jnp.where(closing, a, b), *legs)
+        osc, z_e = select(closing, *legs)
         p, dp = osc.flow(z - z_e, v_p - u, t)
         return z_e + p, v_p - dp
 
     def evaluate_free(self, rig: Rig, u: Number, t: Number) -> tuple[Array, Array]:
         """(distance, u) at the time t into a free leg."""
-        return _slide(rig).flow(u, t)
+        return _slide(rig, u).flow(u, t)
 
 
 def _release_phase(osc, z_e, depth):
@@ -218,9 +222,9 @@ def _release_phase(osc, z_e, depth):
     rate = osc.rate()
     c = quotient(osc.alpha, rate)
     cosine = quotient(z_e, depth)
-    sine = jnp.sqrt(jnp.maximum(1.0 - cosine**2, 1e-30))
+    sine = xp.sqrt(xp.maximum(1.0 - cosine**2, 1e-30))
     phase = angle(sine, cosine)
-    fading = jnp.exp(-c * phase) * cosine
+    fading = xp.exp(-c * phase) * cosine
 
     def step(sine, cosine, fading):
         excess = cosine - c * sine - fading
@@ -235,10 +239,10 @@ def _release_phase(osc, z_e, depth):
 
 
 def _finite(t):
-    return jnp.where(jnp.isfinite(t), t, 0.0)
+    return xp.where(xp.isfinite(t), t, 0.0)
 
 
 def _unless_steady(osc, xi, w, z_e, turn):
     """An oscillation below rounding is steady sliding: it has no next turn."""
     energy = osc.omega0_sq * xi**2 + w**2
-    return jnp.where(energy > osc.omega0_sq * (1e-13 * z_e) ** 2, turn, jnp.inf)
+    return xp.where(energy > osc.omega0_sq * (1e-13 * z_e) ** 2, turn, xp.inf)

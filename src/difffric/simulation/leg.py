@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-import jax.numpy as jnp
-from jax import Array
-from jaxtyping import ArrayLike, Float, Int
+from jaxtyping import Float, Int
 
+from difffric.compute import arrays as xp
 from difffric.simulation.events import Event
+
+if TYPE_CHECKING:
+    from jaxtyping import Array, ArrayLike
 
 
 class Leg(NamedTuple):
@@ -29,8 +31,8 @@ class Leg(NamedTuple):
 def first_event(*events: tuple[Float[ArrayLike, ""], Event]) -> tuple[Array, Array]:
     """The earliest of some (time [s], event), and at a tie the one named first; `Event.NONE` where
     all times are infinite."""
-    dt, event = jnp.asarray(events[0][0], float), jnp.asarray(events[0][1])
+    dt, event = xp.asarray(events[0][0], float), xp.asarray(events[0][1])
     for time, code in events[1:]:
         earlier = time < dt
-        dt, event = jnp.where(earlier, time, dt), jnp.where(earlier, code, event)
-    return dt, jnp.where(jnp.isinf(dt), Event.NONE, event)
+        dt, event = xp.where(earlier, time, dt), xp.where(earlier, code, event)
+    return dt, xp.where(xp.isinf(dt), Event.NONE, event)

@@ -4,21 +4,25 @@ the push went. All of it can be differentiated and batched.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from functools import cache
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Int
+from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
+from difffric.compute import arrays as xp
 from difffric.compute import pytrees
-from difffric.compute.program_cache import cache_program
 from difffric.rig.rig import Rig
 from difffric.simulation.events import MAX_CONTACTS, MAX_CYCLES, Reason, Regime
 from difffric.simulation.segments import Integrator, Push, State
-from difffric.simulation.stepping.integrator import RungeKutta
-from difffric.simulation.stepping.loop import StepLoop
-from difffric.simulation.stepping.state import LoopState
+
+if TYPE_CHECKING:
+    from jaxtyping import Array, ArrayLike
+
+    from difffric.simulation.stepping.loop import StepLoop
+    from difffric.simulation.stepping.state import LoopState
 
 
 class Observables(NamedTuple):
@@ -45,10 +49,10 @@ class Observables(NamedTuple):
 
 def _first_of(cases, otherwise) -> Any:
     """The value of the first condition that holds: plain selections, which vectorise
-    (`jnp.select` would stack the conditions and search them)."""
+    (`numpy.select` would stack the conditions and search them)."""
     value = otherwise
     for condition, this in reversed(cases):
-        value = jnp.where(condition, this, value)
+        value = xp.where(condition, this, value)
     return value
 
 
@@ -61,11 +65,19 @@ def observe(
     jit what is built on it, as you like.
     """
     push = Push.of(rig, velocity, integrator)
-    return _observe(pytrees.as_arrays(push))
+    return _compiled()(pytrees.as_arrays(push))
 
 
-@cache_program
+@cache
+def _compiled() -> Callable[[Push], Observables]:
+    from difffric.compute.program_cache import cache_program  # here: NumPy needs no JAX
+
+    return cache_program(_observe)
+
+
 def _observe(push: Push) -> Observables:
+    from difffric.simulation.stepping.integrator import RungeKutta
+
     if isinstance(push.integrator, RungeKutta):
         loop = push.integrator.build_loop(push.rig, push.velocity)
         return observe_steps(loop, loop.run())
@@ -76,7 +88,7 @@ def observe_steps(loop: StepLoop, m: LoopState) -> Observables:
     """F_p, d and the regime, read off the end of a push that was followed step by step."""
     rig, c = loop.motion.rig, m.course
     too_many = m.contacts > MAX_CONTACTS
-    lost_track = m.lost_track | ~m.over | ~jnp.isfinite(m.peak)
+    lost_track = m.lost_track | ~m.over | ~xp.isfinite(m.peak)
     for_ever = m.endless & ~c.stopped
     left = m.lost & ~c.touching
     reason = _first_of(
@@ -103,20 +115,18 @@ def observe_steps(loop: StepLoop, m: LoopState) -> Observables:
         # Let go, the bristles stand upright, but for what holds the part on a slope.
         x = x - m.s.q - rig.slope / loop.motion.bristles.stiffness
     if m.sensed and probe.late:
-        x_lost = jnp.where(m.sensed.crossed, m.sensed.x_lost, x_lost)
+        x_lost = xp.where(m.sensed.crossed, m.sensed.x_lost, x_lost)
     no_end = too_many | lost_track | for_ever | m.endless
     return Observables(
-        peak_force=jnp.where(too_many | lost_track, jnp.nan, sensor.read(peak)),
-        sliding_distance=jnp.where(
-            reason != Reason.OK, jnp.nan, probe.read(x) - probe.read(x_lost)
-        ),
+        peak_force=xp.where(too_many | lost_track, xp.nan, sensor.read(peak)),
+        sliding_distance=xp.where(reason != Reason.OK, xp.nan, probe.read(x) - probe.read(x_lost)),
         reason=reason,
         regime=regime,
         stuck_first=m.stuck_first,
         contacts=m.contacts,
         kind=_kind(regime, m.stuck_first, m.contacts, m.sticks, m.peak_contact),
-        displacement=jnp.where(no_end, jnp.nan, x),
-        duration=jnp.where(no_end, jnp.nan, m.s.t),
+        displacement=xp.where(no_end, xp.nan, x),
+        duration=xp.where(no_end, xp.nan, m.s.t),
     )
 
 
@@ -136,7 +146,7 @@ def observe_segments(push: Push, state: State) -> Observables:
     """F_p, d and the regime, read off the last state of a push in segments."""
     too_many = state.contacts > MAX_CONTACTS
     too_long = state.cycles >= MAX_CYCLES
-    lost_track = ~jnp.isfinite(state.peak)
+    lost_track = ~xp.isfinite(state.peak)
     left = state.lost & ~state.in_contact
     # Behind a standing tip an overdamped rebound comes to rest too, if only asymptotically.
     for_ever = state.endless & (state.segment.v_p > 0)
@@ -165,13 +175,13 @@ def observe_segments(push: Push, state: State) -> Observables:
     no_end = lost_track | too_many | too_long | state.endless
     last = state.segment
     return Observables(
-        peak_force=jnp.where(lost_track | too_many | too_long, jnp.nan, peak),
-        sliding_distance=jnp.where(reason != Reason.OK, jnp.nan, slid),
+        peak_force=xp.where(lost_track | too_many | too_long, xp.nan, peak),
+        sliding_distance=xp.where(reason != Reason.OK, xp.nan, slid),
         reason=reason,
         regime=regime,
         stuck_first=state.stuck_first,
         contacts=state.contacts,
         kind=_kind(regime, state.stuck_first, *counts),
-        displacement=jnp.where(no_end, jnp.nan, last.y - last.z),
-        duration=jnp.where(no_end, jnp.nan, last.t),
+        displacement=xp.where(no_end, xp.nan, last.y - last.z),
+        duration=xp.where(no_end, xp.nan, last.t),
     )

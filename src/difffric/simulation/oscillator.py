@@ -2,21 +2,25 @@
 
 Everything here holds without a break from underdamped through critical to overdamped, and
 for a vanishing viscosity; forward derivatives pass through each of these limits. What a choice
-(`jnp.where`) leaves aside may be no number: it costs less than to mask it, and derivatives in
+(`xp.where`) leaves aside may be no number: it costs less than to mask it, and derivatives in
 forward mode leave it aside as well. XLA computes again, wherever it is used, what holds no
 division, root or exponential: results that are used more than once end in one.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from difffric.compute.elementary_functions import angle, log1p, polynomial, quotient, sin_cos
+from difffric.compute import arrays as xp
+from difffric.compute.arrays import polynomial
+from difffric.compute.elementary_functions import angle, log1p, quotient, sin_cos
 from difffric.rig.number import Number
+
+if TYPE_CHECKING:
+    from jaxtyping import Array
 
 # Coefficients of the series that take over where the closed forms divide by nearly nothing: of
 # sin(x)/x and cos(x) in x^2, arctan(x)/x in x^2, (1 - (1 - e^-x)/x)/x and (1 - log(1 + y)/y)/y.
@@ -43,26 +47,26 @@ class Oscillator(NamedTuple):
     def rate(self) -> Float[Array, ""]:
         """omega, or what takes its place overdamped [1/s]; 1 where critical."""
         D = self.discriminant
-        return jnp.sqrt(jnp.where(D == 0, 1.0, jnp.abs(D)))
+        return xp.sqrt(xp.where(D == 0, 1.0, xp.abs(D)))
 
     def basis(self, t: Number) -> tuple[Array, Array]:
         """exp(-alpha t) times cos(omega t) and sin(omega t)/omega, omega^2 = discriminant."""
         D, rate = self.discriminant, self.rate()
         x = D * t**2
-        small = jnp.abs(x) < 0.1
+        small = xp.abs(x) < 0.1
         over = (D <= 0) & ~small
         sine, cosine = sin_cos(rate * t)
-        fades = jnp.exp(-2 * rate * t)  # the faster exponential beside the slower one
-        slower = jnp.where(over, quotient(self.omega0_sq, self.alpha + rate), self.alpha)
-        growth = jnp.exp(jnp.minimum(slower * t, 700.0))
-        c = jnp.where(small, polynomial(_COSINE, x), cosine)
-        s = jnp.where(small, t * polynomial(_SINE, x), sine)
+        fades = xp.exp(-2 * rate * t)  # the faster exponential beside the slower one
+        slower = xp.where(over, quotient(self.omega0_sq, self.alpha + rate), self.alpha)
+        growth = xp.exp(xp.minimum(slower * t, 700.0))
+        c = xp.where(small, polynomial(_COSINE, x), cosine)
+        s = xp.where(small, t * polynomial(_SINE, x), sine)
         return (
-            quotient(jnp.where(over, 0.5 + 0.5 * fades, c), growth),
-            quotient(jnp.where(over, 0.5 - 0.5 * fades, s), growth * jnp.where(small, 1.0, rate)),
+            quotient(xp.where(over, 0.5 + 0.5 * fades, c), growth),
+            quotient(xp.where(over, 0.5 - 0.5 * fades, s), growth * xp.where(small, 1.0, rate)),
         )
 
-    def flow(self, p: Number, dp: Number, t: Float[Array, ""]) -> tuple[Array, Array]:
+    def flow(self, p: Number, dp: Number, t: Number) -> tuple[Array, Array]:
         """(p, p') after the time t [s]."""
         c, s = self.basis(t)
         q = self.alpha * dp + self.omega0_sq * p
@@ -76,27 +80,27 @@ class Oscillator(NamedTuple):
         D = self.discriminant
         W = sign * dp
         Q = sign * (self.alpha * dp + self.omega0_sq * p)
-        ratio = quotient(W, jnp.where(Q > 0, Q, 1.0))
+        ratio = quotient(W, xp.where(Q > 0, Q, 1.0))
         s = D * ratio**2
-        small = (Q > 0) & (jnp.abs(s) < 0.01)
+        small = (Q > 0) & (xp.abs(s) < 0.01)
         rate = self.rate()
         phase = angle(rate * W, Q)
         # W may be a rounding below zero: half a period ahead all the same.
-        phase = jnp.where(phase < 0, phase + 2 * jnp.pi, phase)
+        phase = xp.where(phase < 0, phase + 2 * xp.pi, phase)
         r = rate * ratio
         hyperbolic = 0.5 * log1p(quotient(2 * r, 1 - r))
         ends = (D < 0) & (Q > rate * W)
-        free = jnp.where(D > 0, phase, jnp.where(ends, hyperbolic, jnp.inf))
+        free = xp.where(D > 0, phase, xp.where(ends, hyperbolic, xp.inf))
         near = ratio * polynomial(_ARCTAN, s)
-        return quotient(jnp.where(small, near, free), jnp.where(small, 1.0, rate))
+        return quotient(xp.where(small, near, free), xp.where(small, 1.0, rate))
 
     def extremum(self, p: Number, dp: Number, t: Float[Array, ""]) -> Float[Array, ""]:
         """|p| at a turning time t: omega0^2 p^2 + 2 alpha p p' + p'^2 falls as exp(-2 alpha t),
         so that no trigonometry is needed."""
         Q = self.omega0_sq * p**2 + 2 * self.alpha * p * dp + dp**2
-        Q = jnp.where(Q > 0, Q, 0.0)
-        root = jnp.where(Q > 0, jnp.sqrt(jnp.where(Q > 0, Q, 1.0)), 0.0)
-        return quotient(jnp.exp(-self.alpha * t) * root, jnp.sqrt(self.omega0_sq))
+        Q = xp.where(Q > 0, Q, 0.0)
+        root = xp.where(Q > 0, xp.sqrt(xp.where(Q > 0, Q, 1.0)), 0.0)
+        return quotient(xp.exp(-self.alpha * t) * root, xp.sqrt(self.omega0_sq))
 
 
 class ViscousSlide(NamedTuple):
@@ -110,19 +114,19 @@ class ViscousSlide(NamedTuple):
     def flow(self, u: Number, t: Number) -> tuple[Array, Array]:
         """(distance [m], speed [m/s]) after the time t [s], from the speed u [m/s]."""
         x = self.rate * t
-        small = jnp.abs(x) < 0.2
-        x_l = jnp.where(small, 1.0, x)
-        one = jnp.where(small, 1.0 - x * polynomial(_DECAY, x), -jnp.expm1(-x_l) / x_l)
-        two = jnp.where(small, polynomial(_DECAY, x), (x_l + jnp.expm1(-x_l)) / x_l**2)
+        small = xp.abs(x) < 0.2
+        x_l = xp.where(small, 1.0, x)
+        one = xp.where(small, 1.0 - x * polynomial(_DECAY, x), -xp.expm1(-x_l) / x_l)
+        two = xp.where(small, polynomial(_DECAY, x), (x_l + xp.expm1(-x_l)) / x_l**2)
         return t * (u * one - self.drag * t * two), u - (self.drag + self.rate * u) * t * one
 
     def rest(self, u: Number) -> tuple[Array, Array]:
         """(time [s], distance [m]) to rest from the speed u [m/s]."""
         stop = quotient(u, self.drag)
         y = self.rate * stop
-        small = jnp.abs(y) < 0.1
-        inverse = quotient(1.0, jnp.where(small, 1.0, y))
+        small = xp.abs(y) < 0.1
+        inverse = quotient(1.0, xp.where(small, 1.0, y))
         mean = log1p(y) * inverse
-        half = jnp.where(small, polynomial(_BRAKE, y), (1.0 - mean) * inverse)
-        one = jnp.where(small, 1.0 - y * half, mean)
+        half = xp.where(small, polynomial(_BRAKE, y), (1.0 - mean) * inverse)
+        one = xp.where(small, 1.0 - y * half, mean)
         return stop * one, u * stop * half

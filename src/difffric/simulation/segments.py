@@ -6,20 +6,21 @@ once through its modes in their natural order; a push of one contact is one cycl
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
-from difffric.compute.precision import require_float64
+from difffric.compute import arrays as xp
+from difffric.compute.lanes import change_where, repeat_while
 from difffric.compute.pytrees import select
 from difffric.rig.number import Number, Truth
 from difffric.rig.rig import Rig
 from difffric.simulation.closed_form import ClosedForm
 from difffric.simulation.events import MAX_CONTACTS, MAX_CYCLES, Event, Mode
 from difffric.simulation.leg import Leg
-from difffric.simulation.stepping.integrator import RungeKutta
+
+if TYPE_CHECKING:
+    from jaxtyping import Array, ArrayLike
 
 
 class Segment(NamedTuple):
@@ -119,7 +120,11 @@ class Integrator(Protocol):
 
 def default_integrator(rig: Rig) -> Any:
     """The integrator that serves the rig: the closed form where every law is affine."""
-    return ClosedForm() if rig.affine else RungeKutta()
+    if rig.affine:
+        return ClosedForm()
+    from difffric.simulation.stepping.integrator import RungeKutta  # it imports JAX
+
+    return RungeKutta()
 
 
 class Push(NamedTuple):
@@ -133,11 +138,16 @@ class Push(NamedTuple):
     def of(
         cls, rig: Rig, velocity: Float[ArrayLike, ""], integrator: Integrator | None = None
     ) -> Push:
-        """A push at `velocity` [m/s], by the integrator that serves the rig unless given."""
+        """A push at `velocity` [m/s] for JAX to follow, by the integrator that serves the rig
+        unless given."""
+        import jax.numpy as jnp
+
+        from difffric.compute.precision import require_float64
+
         require_float64()
         chosen: Any = default_integrator(rig) if integrator is None else integrator
         chosen.check(rig)
-        return cls(rig, rig.pusher.speed(velocity), chosen)
+        return cls(rig, jnp.asarray(rig.pusher.speed(velocity), float), chosen)
 
     @property
     def once(self) -> bool:
@@ -146,14 +156,17 @@ class Push(NamedTuple):
 
     def start(self) -> State:
         """At rest in contact without preload, the pusher starting."""
-        zero = jnp.zeros(())
-        no, one = jnp.asarray(False), jnp.asarray(1)
-        velocity = jnp.asarray(self.velocity, float)
+        velocity = xp.asarray(self.velocity, float)
+        zero = xp.zeros_like(velocity)
+        no, none = xp.zeros_like(velocity, bool), xp.zeros_like(velocity, int)
+        one = xp.ones_like(velocity, int)
         return State(
-            segment=Segment(jnp.asarray(Mode.STUCK), zero, zero, velocity, zero, zero),
+            segment=Segment(
+                xp.full_like(velocity, Mode.STUCK, int), zero, zero, velocity, zero, zero
+            ),
             stuck_first=self.integrator.find_breakaway(self.rig, velocity) > 0,
             contacts=one,
-            sticks=jnp.asarray(0),
+            sticks=none,
             moved=no,
             lost_moving=no,
             lost=no,
@@ -162,15 +175,16 @@ class Push(NamedTuple):
             peak_contact=one,
             slid=zero,
             endless=no,
-            cycles=jnp.asarray(0),
+            cycles=none,
         )
 
     def cycle(self, state: State) -> tuple[State, list[Segment]]:
         """Once through the modes; also the five segments' starts, padded by repetition."""
         starts = [state.segment]
-        steps = (self._wait_stuck, self._close, self._rebound, self._slide)
+        steps = (Push._wait_stuck, Push._close, Push._rebound, Push._slide)
         for mode, step in enumerate(steps):
-            state = select((state.segment.mode == mode) & ~state.over, step(state), state)
+            here = (state.segment.mode == mode) & ~state.over
+            state = change_where(here, lambda s, push, step=step: step(push, s), state, self)
             starts.append(state.segment)
         # Energy only falls: what the first rebound did not part, no later one will.
         never = self.rig.pusher.stops_at_release() & ~state.lost
@@ -178,17 +192,17 @@ class Push(NamedTuple):
 
     def _time_left(self, segment):
         stop = self.rig.pusher.stop_time(self.velocity)
-        return jnp.where(segment.v_p > 0, jnp.maximum(stop - segment.t, 0.0), jnp.inf)
+        return xp.where(segment.v_p > 0, xp.maximum(stop - segment.t, 0.0), xp.inf)
 
     def _advance(self, segment, dt, event, mode, z, u):
         """The next segment: the pusher has moved on, or has just stopped."""
         stops = event == Event.STOP
         stroke = 0.0 if self.rig.pusher.stroke is None else self.rig.pusher.stroke
         v_p, left = segment.v_p, self._time_left(segment)
-        t_stop = segment.t + jnp.where(jnp.isfinite(left), left, 0.0)
-        t = jnp.where(stops, t_stop, segment.t + dt)
-        y = jnp.where(stops, stroke, segment.y + v_p * jnp.where(v_p > 0, dt, 0.0))
-        return Segment(jnp.asarray(mode), t, y, jnp.where(stops, 0.0, v_p), z, u)
+        t_stop = segment.t + xp.where(xp.isfinite(left), left, 0.0)
+        t = xp.where(stops, t_stop, segment.t + dt)
+        y = xp.where(stops, stroke, segment.y + v_p * xp.where(v_p > 0, dt, 0.0))
+        return Segment(xp.asarray(mode), t, y, xp.where(stops, 0.0, v_p), z, u)
 
     def _wait_stuck(self, state: State) -> State:
         s, rig = state.segment, self.rig
@@ -196,22 +210,22 @@ class Push(NamedTuple):
         left = self._time_left(s)
         wait = (z_b - s.z) / s.v_p
         breaks = wait <= left
-        dt = jnp.where(breaks, wait, left)
-        z = jnp.where(breaks, z_b, s.z + s.v_p * dt)
+        dt = xp.where(breaks, wait, left)
+        z = xp.where(breaks, z_b, s.z + s.v_p * dt)
         touches = (s.z < 0) & (z >= 0)
         contacts = state.contacts + touches
-        force = jnp.where(z >= 0, rig.contact.approach(z, s.v_p), 0.0)
+        force = xp.where(z >= 0, rig.contact.approach(z, s.v_p), 0.0)
         higher = ~breaks & (force > state.peak)
-        event = jnp.where(breaks, Event.NONE, Event.STOP)
-        mode = jnp.where(breaks, Mode.CLOSING, Mode.STUCK)
+        event = xp.where(breaks, Event.NONE, Event.STOP)
+        mode = xp.where(breaks, Mode.CLOSING, Mode.STUCK)
         return state._replace(
-            segment=self._advance(s, dt, event, mode, z, jnp.zeros_like(s.u)),
+            segment=self._advance(s, dt, event, mode, z, xp.zeros_like(s.u)),
             contacts=contacts,
             sticks=state.sticks + (wait > 0),
             moved=state.moved | breaks,
             in_contact=z >= 0,
-            peak=jnp.where(higher, force, state.peak),
-            peak_contact=jnp.where(higher, contacts, state.peak_contact),
+            peak=xp.where(higher, force, state.peak),
+            peak_contact=xp.where(higher, contacts, state.peak_contact),
         )
 
     def _close(self, state: State) -> State:
@@ -220,35 +234,35 @@ class Push(NamedTuple):
             self.rig, s.z, s.u, s.v_p, self._time_left(s), not self.once
         )
         higher = ~(leg.peak <= state.peak)  # so that a peak that is no number shows
-        mode = jnp.where(leg.event == Event.HALT, Mode.STUCK, Mode.REBOUNDING)
+        mode = xp.where(leg.event == Event.HALT, Mode.STUCK, Mode.REBOUNDING)
         never = leg.event == Event.NONE
         after = self._advance(s, leg.dt, leg.event, mode, leg.z, leg.u)
         return state._replace(
             segment=select(never, s, after),
-            peak=jnp.where(higher, leg.peak, state.peak),
-            peak_contact=jnp.where(higher, state.contacts, state.peak_contact),
+            peak=xp.where(higher, leg.peak, state.peak),
+            peak_contact=xp.where(higher, state.contacts, state.peak_contact),
             endless=state.endless | never,
         )
 
     def _rebound(self, state: State) -> State:
         s = state.segment
         leg = self.integrator.follow_rebounding(self.rig, s.z, s.u, s.v_p, self._time_left(s))
-        turned = jnp.where(s.v_p > 0, Mode.CLOSING, Mode.STUCK)
-        mode = jnp.where(
+        turned = xp.where(s.v_p > 0, Mode.CLOSING, Mode.STUCK)
+        mode = xp.where(
             leg.event == Event.RELEASE,
             Mode.FREE,
-            jnp.where(leg.event == Event.TURN, turned, Mode.REBOUNDING),
+            xp.where(leg.event == Event.TURN, turned, Mode.REBOUNDING),
         )
         after = self._advance(s, leg.dt, leg.event, mode, leg.z, leg.u)
         never, released = leg.event == Event.NONE, leg.event == Event.RELEASE
         stands = released & self.rig.pusher.stops_at_release()
-        after = after._replace(v_p=jnp.where(stands, 0.0, after.v_p))
+        after = after._replace(v_p=xp.where(stands, 0.0, after.v_p))
         return state._replace(
             segment=select(never, s, after),
             lost=state.lost | released,
-            lost_moving=jnp.where(released, s.v_p > 0, state.lost_moving),
+            lost_moving=xp.where(released, s.v_p > 0, state.lost_moving),
             in_contact=state.in_contact & ~released,
-            slid=jnp.where(released, 0.0, state.slid),
+            slid=xp.where(released, 0.0, state.slid),
             endless=state.endless | never,
         )
 
@@ -258,8 +272,8 @@ class Push(NamedTuple):
             self.rig, s.z, s.u, s.v_p, self._time_left(s), not self.once
         )
         caught = leg.event == Event.CATCH
-        mode = jnp.where(
-            caught, Mode.CLOSING, jnp.where(leg.event == Event.HALT, Mode.STUCK, Mode.FREE)
+        mode = xp.where(
+            caught, Mode.CLOSING, xp.where(leg.event == Event.HALT, Mode.STUCK, Mode.FREE)
         )
         return state._replace(
             segment=self._advance(s, leg.dt, leg.event, mode, leg.z, leg.u),
@@ -273,11 +287,14 @@ class Push(NamedTuple):
         """Follow the push to its end."""
         if self.once:
             return self.cycle(self.start())[0]
-        return jax.lax.while_loop(lambda s: ~s.over, lambda s: self.cycle(s)[0], self.start())
+        return repeat_while(lambda s: ~s.over, lambda s, push: push.cycle(s)[0], self.start(), self)
 
     def segments(self, cycles: int = MAX_CYCLES) -> tuple[State, Segment]:
         """Follow the push to its end, or for so many cycles at most; also all segments, stacked
-        and padded with t = inf."""
+        and padded with t = inf. By JAX."""
+        import jax
+        import jax.numpy as jnp
+
         if self.once:
             state, starts = self.cycle(self.start())
             return state, jax.tree.map(lambda *rows: jnp.stack(rows), *starts)

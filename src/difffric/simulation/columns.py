@@ -1,0 +1,59 @@
+"""Many pushes in columns, by plain NumPy: F_p, d and their exact derivatives where every law is
+affine, in a process that needs no JAX.
+
+The equations are those that JAX compiles (`closed_form`, `segments`), and so are the answers, to
+rounding. Some thousand pushes take less time than a compiled program takes to load.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from difffric.compute import arrays as xp
+from difffric.compute.dual_numbers import Dual
+from difffric.compute.lanes import count_lanes, join_lanes, pick_lanes, spread
+from difffric.compute.pytrees import list_leaves, map_tree
+from difffric.rig.rig import Rig
+from difffric.simulation.closed_form import ClosedForm
+from difffric.simulation.observables import Observables, observe_segments
+from difffric.simulation.segments import Push
+
+_CHUNK = 2048
+"""Lanes that go together: their some hundred intermediate columns stay in the second-level
+cache."""
+
+
+def serves(rig: Rig, integrator: Any = None) -> bool:
+    """Whether pushes of the rig can be followed in columns: by the closed form, all laws affine
+    and this library's own, as a user's may ask for JAX, and no number of it JAX's."""
+    closed = integrator is None or isinstance(integrator, ClosedForm)
+    return closed and rig.affine and rig.only_own_laws and not xp.uses_jax(*list_leaves(rig))
+
+
+def observe_columns(rig: Rig, velocity: Any) -> Observables:
+    """What is measured of n pushes at `velocity` [m/s]: columns (n,) of NumPy.
+
+    The velocity and every number of the rig are one value or n; dual numbers among them give the
+    derivatives, as dual numbers.
+    """
+    given = map_tree(_to_column, (rig, velocity))
+    n = count_lanes(given)
+    parts = []
+    for start in range(0, n, _CHUNK):
+        stop = min(start + _CHUNK, n)
+        part = given if stop - start == n else pick_lanes(given, np.arange(start, stop))
+        parts.append(_observe(part, stop - start))
+    return join_lanes(parts)
+
+
+def _observe(given: tuple[Rig, Any], n: int) -> Observables:
+    rig, velocity = given
+    with np.errstate(all="ignore"):  # what a choice leaves aside may be no number
+        push = Push(rig, spread(rig.pusher.speed(velocity), n), ClosedForm())
+        return spread(observe_segments(push, push.last_state()), n)
+
+
+def _to_column(leaf):
+    return leaf if type(leaf) is Dual else np.asarray(leaf, float)
