@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -16,10 +17,12 @@ import numpy as np
 import pytest
 
 from difffric.compute.pytrees import pick, replicate
+from difffric.rig import parameters
 from difffric.rig.rig import spring_damper_rig
+from difffric.simulation.columns import VELOCITY, differentiate_columns
 from difffric.simulation.events import Reason, Regime
 from difffric.simulation.observables import observe
-from difffric.simulation.sensitivities import sensitivity
+from difffric.simulation.sensitivities import Sensitivity, sensitivity
 
 FILE = json.loads((Path(__file__).parents[1] / "reference" / "cases.json").read_text())
 CASES = FILE["cases"]
@@ -56,11 +59,22 @@ def velocities(cases):
     return jnp.array([c["velocity_m_per_s"] for c in cases])
 
 
-@pytest.fixture(scope="module")
-def ours():
+def solve_by_numpy(rig, velocity):
+    """The pushes' sensitivities by columns of plain NumPy."""
+    rig, velocity = jax.tree.map(np.asarray, (rig, velocity))
+    names = [*parameters.names(rig), VELOCITY]
+    seen, by = differentiate_columns(rig, velocity, names)
+    columns = (dict(zip(names, x, strict=True)) for x in (by.peak_force, by.sliding_distance))
+    return Sensitivity(seen, *columns)
+
+
+@pytest.fixture(scope="module", params=["jax", "numpy"])
+def ours(request):
     """Every case's observables and derivatives: without strokes by the one-contact program, with
     strokes by the general one."""
-    solve = eqx.filter_jit(eqx.filter_vmap(lambda rig, v: sensitivity(rig, v)))
+    solve: Any = solve_by_numpy
+    if request.param == "jax":
+        solve = eqx.filter_jit(eqx.filter_vmap(lambda rig, v: sensitivity(rig, v)))
     found = [None] * len(CASES)
     for stroked in (False, True):
         which = [i for i, c in enumerate(CASES) if (c["stroke_m"] is not None) == stroked]

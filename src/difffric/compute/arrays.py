@@ -77,7 +77,7 @@ cos = _elementwise("cos", lambda x, value: -sin(x))
 tan = _elementwise("tan", lambda x, value: 1.0 + value * value)
 arctan = _elementwise("arctan", lambda x, value: 1.0 / (1.0 + x * x))
 tanh = _elementwise("tanh", lambda x, value: 1.0 - value * value)
-abs = _elementwise("abs", lambda x, value: sign(x))
+abs = _elementwise("abs", lambda x, value: where(x >= 0, 1.0, -1.0))
 square = _elementwise("square", lambda x, value: 2.0 * x)
 
 sign = _piecewise_constant("sign")

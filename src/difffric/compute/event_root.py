@@ -50,7 +50,8 @@ def find_falling_root(
         return _ruled_search()(f, args, lo, hi, guess, rounds)
     level = highest(numbers)
     if not level:
-        return _search(f, args, lo, hi, guess, rounds)
+        lanes = np.broadcast_shapes(*map(np.shape, numbers))
+        return _search(f, args, lo, hi, np.broadcast_to(guess, lanes), rounds)
     values = map_tree(lambda x: split(x, level)[0], (args, lo, hi, guess))
     t = find_falling_root(f, *values, rounds=rounds)
     value, slope = f(t, args)

@@ -24,7 +24,7 @@ def repeat_while(
 
     The state is a tree whose leaves have one entry a lane; what is given may be shared.
     """
-    if uses_jax(*list_leaves(state)):
+    if uses_jax(*list_leaves((state, given))):
         import jax
 
         return jax.lax.while_loop(goes_on, lambda state: body(state, *given), state)
@@ -109,7 +109,9 @@ def join_lanes(parts: Sequence[Any]) -> Any:
 def _join(*columns):
     level = highest(columns)
     if not level:
-        return np.concatenate(columns, axis=-1)
+        directions = np.broadcast_shapes(*(np.shape(x)[:-1] for x in columns))
+        parts = [np.broadcast_to(x, (*directions, np.shape(x)[-1])) for x in columns]
+        return np.concatenate(parts, axis=-1)
     values = [split(column, level)[0] for column in columns]
     return Dual(
         _join(*values),

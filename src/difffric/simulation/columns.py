@@ -7,18 +7,23 @@ rounding. Some thousand pushes take less time than a compiled program takes to l
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from difffric.compute import arrays as xp
 from difffric.compute.dual_numbers import Dual
-from difffric.compute.lanes import count_lanes, join_lanes, pick_lanes, spread
+from difffric.compute.lanes import count_lanes, differentiate, join_lanes, pick_lanes, spread
 from difffric.compute.pytrees import list_leaves, map_tree
+from difffric.rig import parameters
 from difffric.rig.rig import Rig
 from difffric.simulation.closed_form import ClosedForm
 from difffric.simulation.observables import Observables, observe_segments
 from difffric.simulation.segments import Push
+
+VELOCITY = "velocity_m_per_s"
+"""The name of the pusher's speed among the parameters of derivatives."""
 
 _CHUNK = 2048
 """Lanes that go together: their some hundred intermediate columns stay in the second-level
@@ -46,6 +51,28 @@ def observe_columns(rig: Rig, velocity: Any) -> Observables:
         part = given if stop - start == n else pick_lanes(given, np.arange(start, stop))
         parts.append(_observe(part, stop - start))
     return join_lanes(parts)
+
+
+def differentiate_columns(
+    rig: Rig, velocity: Any, names: Sequence[str]
+) -> tuple[Observables, Observables]:
+    """What is measured of n pushes, and its derivatives by parameters of the rig or `VELOCITY`:
+    (k, n), a row for each of the k names.
+
+    NaN stands where what is derived does not exist.
+    """
+    every = {**parameters.values(rig), VELOCITY: velocity}
+
+    def follow(at):
+        new = dict(zip(names, at, strict=True))
+        speed = new.pop(VELOCITY, velocity)
+        return observe_columns(parameters.with_values(rig, new), speed)
+
+    rows = np.eye(len(names))[:, :, None]
+    seen, by = differentiate(follow, [every[name] for name in names], list(rows))
+    by = map_tree(lambda dx, x: np.broadcast_to(dx, (len(names), len(x))), by, seen)
+    exists = np.where(np.isnan(seen.sliding_distance), np.nan, 1.0)
+    return seen, by._replace(sliding_distance=by.sliding_distance * exists)
 
 
 def _observe(given: tuple[Rig, Any], n: int) -> Observables:
