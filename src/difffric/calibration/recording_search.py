@@ -15,7 +15,7 @@ from difffric.calibration.result import FitState
 from difffric.calibration.table_starts import fit_forces
 from difffric.errors import InputError, NumericalError
 from difffric.estimation import coordinates
-from difffric.estimation.descent import Model, Settled, descent_to_compile, first_point
+from difffric.estimation.descent import Model, Settled, first_point, prepare_descent
 from difffric.estimation.mixed_fit import ROUNDS, rescan_push_friction, settle, spread_push_friction
 from difffric.estimation.stacked_data import (
     FitData,
@@ -126,13 +126,13 @@ class RecordingSearch:
         return [at for _, at, _ in search_roughly(model, data, self.box, self.tell)[:REFINED]]
 
     def _compile_ahead(self) -> Thread:
-        """Have the program that fits the samples compiled, beside those that the searches need.
+        """Have the program that fits the samples made ready, beside those that the searches need.
 
-        It is traced first: two threads that trace at once keep each other waiting.
+        It takes the longest: it is begun first.
         """
         model, data = self._stack_samples(None)
-        traced = descent_to_compile(model, data, first_point(model, data, self.box[0]))
-        compiling = Thread(target=traced.compile, daemon=True)
+        at = first_point(model, data, self.box[0])
+        compiling = Thread(target=prepare_descent, args=(model, data, at), daemon=True)
         compiling.start()
         return compiling
 

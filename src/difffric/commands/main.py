@@ -17,7 +17,7 @@ import platformdirs
 import typer
 from typer.core import TyperGroup
 
-from difffric.compute import private_folder
+from difffric.compute.programs import private_folder
 from difffric.errors import DifffricError, InputError
 
 COMMANDS = {

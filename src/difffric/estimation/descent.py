@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,7 +22,9 @@ from difffric.estimation.mixed_model import (
     FitPoint,
     Problem,
     minimise,
-    minimise_soon,
+    respond,
+    respond_soon,
+    spread_coordinates,
 )
 from difffric.estimation.restricted_likelihood import Components, LinearModel, linearise
 from difffric.estimation.stacked_data import RECORDINGS, FitData, pad
@@ -124,14 +125,14 @@ def pose_problem(
         rig=pytrees.as_arrays(model.rig),
         integrator=model.integrator,
         pushes=data.pushes,
-        selection=pad(selection, n),
-        fixed=pad(layout.fixed, n),
-        scatter=jnp.asarray(scatter),
-        weights=jnp.asarray(row_weights),
-        prior=jnp.asarray(prior),
-        prior_weight=jnp.asarray(prior_weight),
-        starts=jnp.asarray(starts),
-        trust=jnp.asarray(trust),
+        selection=np.asarray(pad(selection, n)),
+        fixed=np.asarray(pad(layout.fixed, n)),
+        scatter=np.asarray(scatter),
+        weights=row_weights,
+        prior=prior,
+        prior_weight=prior_weight,
+        starts=starts,
+        trust=np.asarray(trust),
     )
 
 
@@ -148,15 +149,17 @@ def descend(
     """The conditional mode near a point, for these weights (n, rows) and this scatter, with the
     parameters `held` (P,) where they are, after `steps` steps at most."""
     # Whole recordings run for longer than they compile.
-    run = minimise if data.kind == RECORDINGS else minimise_soon
-    return run(*_pose_descent(model, data, at, held, weights, scatter, trust, steps))
+    run = respond if data.kind == RECORDINGS else respond_soon
+    problem, start = _pose_descent(model, data, at, held, weights, scatter, trust)
+    return minimise(problem, start, steps, run)
 
 
-def descent_to_compile(model: Model, data: FitData, at: Settled):
-    """The program of `descend` for data of this shape, traced; `.compile()` makes it ready for
-    every later call, and may be left to another thread."""
-    scatter = max(model.scatter, 1e-3)
-    return minimise.lower(*_pose_descent(model, data, at, at.held, data.weights, scatter, 1.0, 0))
+def prepare_descent(model: Model, data: FitData, at: Settled) -> None:
+    """Make the program of `descend` for recordings of this shape ready for every later call; may be
+    left to another thread."""
+    problem, start = _pose_descent(model, data, at, at.held, data.weights, model.scatter, 1.0)
+    given = problem.rig, problem.integrator, problem.pushes
+    respond.prepare(*given, spread_coordinates(problem, start))
 
 
 def _pose_descent(
@@ -167,9 +170,8 @@ def _pose_descent(
     weights: NDArray,
     scatter: float,
     trust: float,
-    steps: int,
-) -> tuple[Problem, FitPoint, Any]:
-    """What `minimise` takes: the problem, where it starts, and the steps at most."""
+) -> tuple[Problem, FitPoint]:
+    """What `minimise` takes: the problem, and where it starts."""
     problem = pose_problem(model, data, held, at.theta, scatter, weights, trust)
     theta = np.zeros(problem.prior.shape[0])
     theta[: len(at.theta)] = np.where(held, 0.0, at.theta)
@@ -177,8 +179,7 @@ def _pose_descent(
     eta[: data.n] = at.s_eta / scatter if scatter > 0 else 0.0
     start = np.zeros(problem.starts.shape[0])
     start[: data.n] = at.start
-    point = FitPoint(jnp.asarray(theta), jnp.asarray(eta), jnp.asarray(start))
-    return problem, point, jnp.asarray(steps)
+    return problem, FitPoint(theta, eta, start)
 
 
 def take_end(at: Settled, end: End, held: NDArray, scatter: float) -> Settled:

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -206,19 +206,19 @@ def _differentiate(function: Callable[[Array], Any], c: Array, directions: Array
     return along(directions)
 
 
-@lru_cache(maxsize=16)
-def _compile(
-    coordinates: Coordinates, kind: str, steps: int, structure: Any, shapes: tuple
-) -> Callable[..., PushAnswer]:
-    """The compiled program for all data of this kind, whose arguments have this tree structure and
-    these shapes and types."""
+@compile_soon
+def _answer(
+    coordinates: tuple,
+    kind: str,
+    steps: int,
+    rig: Rig,
+    pushes: StackedPushes,
+    c: Array,
+    directions: Array,
+) -> PushAnswer:
+    """The answers for B pushes of one kind; `coordinates` are the fields of `Coordinates`."""
     answer = {RECORDINGS: _answer_recordings, TABLE: _answer_table, SLIDES: _answer_slides}[kind]
-
-    def program(rig, pushes, c, directions):
-        return answer(coordinates, rig, pushes, c, directions, steps)
-
-    leaves = [jnp.zeros(shape, dtype) for shape, dtype in shapes]
-    return compile_soon(program).lower(*jax.tree.unflatten(structure, leaves)).compile()
+    return answer(Coordinates(*coordinates), rig, pushes, c, directions, steps)
 
 
 @dataclass(frozen=True)
@@ -266,17 +266,17 @@ class ExtendedModel:
         return (
             self._rig,
             self._pick_rows(np.zeros(BATCH, int)),
-            jnp.zeros((BATCH, K)),
-            jnp.zeros((BATCH, self.directions, K)),
+            np.zeros((BATCH, K)),
+            np.zeros((BATCH, self.directions, K)),
         )
 
     @cached_property
     def _program(self) -> Callable[..., PushAnswer]:
         """The compiled program for these data."""
-        example = self._make_example()
-        shapes = tuple((x.shape, str(x.dtype)) for x in jax.tree.leaves(example))
-        structure = jax.tree.structure(example)
-        return _compile(self.coordinates, self.kind, self.steps, structure, shapes)
+        at = self.coordinates
+        given = ((at.names, at.null, at.unit), self.kind, self.steps)
+        _answer.prepare(*given, *self._make_example())
+        return partial(_answer, *given)
 
     @cached_property
     def _wider(self) -> ExtendedModel:

@@ -19,7 +19,8 @@ from jaxtyping import Array, ArrayLike, Float, Int8
 from numpy.typing import NDArray
 
 from difffric.compute.precision import require_float64
-from difffric.compute.program_cache import has_own_classes, load_or_compile
+from difffric.compute.program_cache import has_own_classes
+from difffric.compute.programs.store import load_or_compile
 from difffric.compute.xla_options import in_one_piece, keep_known_options
 from difffric.errors import InputError
 from difffric.rig import parameters

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 import difffric as df
-from difffric.compute import private_folder, program_cache
-from difffric.compute.program_cache import FOLDER, cache_program
+from difffric.compute.program_cache import cache_program
+from difffric.compute.programs import private_folder, store
+from difffric.compute.programs.store import FOLDER
 
 ROOT = Path(__file__).parents[3]
 RIG = df.spring_damper_rig(mass=18.9, mu_s=0.141, mu_k_over_mu_s=0.75, k_v=5.0, k=8e5, b=1500.0)
@@ -26,7 +27,7 @@ def folder(tmp_path, monkeypatch):
     root = tmp_path / "programs"
     monkeypatch.setenv(FOLDER, str(root))
     yield root
-    program_cache._folder.cache_clear()
+    store.find_folder.cache_clear()
 
 
 @pytest.fixture
@@ -39,19 +40,17 @@ def package(tmp_path):
 
 
 def test_a_law_changed_two_folders_down_makes_another_program(folder, package, monkeypatch):
-    monkeypatch.setattr(program_cache, "_PACKAGE", package.parents[2])
-    before = program_cache._name_version()
-    assert program_cache._name_version() == before
+    monkeypatch.setattr(store, "_PACKAGE", package.parents[2])
+    before = store._name_version()
+    assert store._name_version() == before
     package.write_text("mu_k = 0.8\n", encoding="utf-8")
-    changed = program_cache._name_version()
+    changed = store._name_version()
     package.rename(package.with_name("contact.py"))
-    assert len({before, changed, program_cache._name_version()}) == 3
+    assert len({before, changed, store._name_version()}) == 3
 
 
 def test_the_package_that_makes_a_program_is_this_one():
-    assert {"__init__.py", "program_cache.py"} <= {
-        p.name for p in program_cache._PACKAGE.rglob("*.py")
-    }
+    assert {"__init__.py", "program_cache.py"} <= {p.name for p in store._PACKAGE.rglob("*.py")}
 
 
 def files_of(root):
@@ -136,8 +135,8 @@ def test_what_is_damaged_or_others_may_write_is_made_anew(folder, damage):
 
 def test_another_version_has_a_folder_of_its_own(folder, monkeypatch):
     counted()[0](*ARGUMENTS)
-    monkeypatch.setattr(program_cache, "_name_version", lambda: "another")
-    program_cache._folder.cache_clear()
+    monkeypatch.setattr(store, "_name_version", lambda: "another")
+    store.find_folder.cache_clear()
     function, traced = counted()
     function(*ARGUMENTS)
     assert traced and len(files_of(folder)) == 2
@@ -222,7 +221,7 @@ def test_a_folder_that_others_may_write_is_refused(tmp_path, monkeypatch, capsys
     function(*ARGUMENTS)
     assert "compiled programs are not kept" in capsys.readouterr().err
     assert not files_of(shared)
-    program_cache._folder.cache_clear()
+    store.find_folder.cache_clear()
 
 
 def test_what_a_killed_process_may_have_left_is_swept(tmp_path):

@@ -5,12 +5,23 @@ from __future__ import annotations
 import atexit
 import os
 import stat
-from contextlib import suppress
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+try:
+    import fcntl
+except ImportError:  # Windows: there two processes may make the same
+    fcntl = None
 
 REFUSED = "not a folder that this user alone may write to"
 _MARK = ".difffric-"
 """Files that say which processes, by number, may be writing."""
+_PATIENCE = 600.0
+"""How long [s] one waits for another that holds a lock: a process that was stopped holds it on."""
+_GLANCE = 0.02
+"""Between two looks at a lock [s]: nothing beside what is made under one."""
 
 
 def make_private(folder: Path) -> bool:
@@ -61,3 +72,39 @@ def is_running(process: int) -> bool:
     except OSError:  # another user's, or not a question that this system answers
         return True
     return True
+
+
+@contextmanager
+def hold(path: Path) -> Iterator[None]:
+    """Hold the lock of this name against threads and processes; wait until it is free. The system
+    frees that of a process which has ended. Where there are no locks, none is held."""
+    handle = _lock(path)
+    try:
+        yield
+    finally:
+        if handle is not None:
+            with suppress(OSError):
+                path.unlink()
+            os.close(handle)
+
+
+def _lock(path: Path) -> int | None:
+    """The lock's file, open; None where there are no locks, or patience has ended."""
+    end = time.monotonic() + _PATIENCE
+    while fcntl is not None and time.monotonic() < end:
+        try:
+            handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
+        except OSError:
+            return None
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.fstat(handle).st_ino == os.stat(path).st_ino:
+                return handle
+        except (BlockingIOError, FileNotFoundError):
+            pass  # held; or just let go and removed
+        except OSError:  # this file system has none
+            os.close(handle)
+            return None
+        os.close(handle)
+        time.sleep(_GLANCE)
+    return None

@@ -1,0 +1,74 @@
+"""What each compiled program cost: seconds to trace, compile, load and run it, and its size.
+
+Nothing is counted unless the environment variable `FILE` names a file, to which each process adds a
+line for each of its programs when it ends (`python -m benchmarks.programs` makes a table of them).
+"""
+
+from __future__ import annotations
+
+import atexit
+import json
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+FILE = "DIFFFRIC_PROGRAM_LOG"
+"""Environment variable: the file to which what programs cost is added; unset: to none."""
+
+_records: list[Record] = []
+
+
+@dataclass
+class Record:
+    """What one program cost this process; times in seconds by the clock, sizes in bytes."""
+
+    name: str
+    key: str
+    """how its file's name begins"""
+    traced: float = 0.0
+    compiled: float = 0.0
+    size: int = 0
+    loaded: float = 0.0
+    runs: int = 0
+    ran: float = 0.0
+
+    @contextmanager
+    def time(self, what: str) -> Iterator[None]:
+        """Add the seconds of what is done within to `traced`, `compiled`, `loaded` or `ran`."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            setattr(self, what, getattr(self, what) + time.perf_counter() - start)
+
+    def watch(self, call: Callable) -> Callable:
+        """The program; where a file is named, its calls are counted from now on."""
+        if not os.environ.get(FILE):
+            return call
+        if not _records:
+            atexit.register(_append)
+        _records.append(self)
+
+        def run(arrays: list) -> Any:
+            with self.time("ran"):
+                out = call(arrays)
+            self.runs += 1
+            return out
+
+        return run
+
+
+def _append() -> None:
+    lines = [json.dumps(asdict(record)) + "\n" for record in _records]
+    with suppress(OSError), Path(os.environ[FILE]).open("a", encoding="utf-8") as file:
+        file.write("".join(lines))
+
+
+def read(path: Path) -> list[Record]:
+    """The records in a file, in the order in which they were added."""
+    with path.open(encoding="utf-8") as file:
+        return [Record(**json.loads(line)) for line in file]
