@@ -6,6 +6,7 @@ Estimated where nothing moves: before the push, and after the part has come to r
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -22,6 +23,8 @@ SHORTEST = 16
 LONGEST = 1 << 18  # samples read of a quiet stretch: more would not say more
 _SIGNIFICANT = 2.58  # standard deviations (1 %) from which a correlation is believed
 _MOST = 0.999  # of |φ|: at 1 the process would not be stationary
+_TREND = float(scipy.special.chdtri(2, 1e-5))  # chi-square of a trend that is no noise
+_FIRST_REACH = 4096  # samples searched for the begin of the rest before more are looked at
 
 
 @dataclass(frozen=True)
@@ -95,6 +98,16 @@ def make_whitening(index: ArrayLike, noise: Noise) -> Whitening:
     return Whitening(scale, scale * power)
 
 
+def whiten_consecutive(rows: NDArray, noise: Noise) -> NDArray:
+    """Rows (n, ...) of consecutive samples whitened, as `make_whitening` of 0 ... n - 1 does."""
+    phi = noise.correlation
+    out = rows / noise.level
+    if phi:
+        out[1:] -= phi * out[:-1]
+        out[1:] /= math.sqrt(1 - phi**2)
+    return out
+
+
 def estimate_noise(stretches: Iterable[ArrayLike]) -> Noise:
     """The noise in stretches (each (n,)) in which nothing moves, each about a mean of its own.
 
@@ -116,25 +129,32 @@ def estimate_noise(stretches: Iterable[ArrayLike]) -> Noise:
     freedom = n - len(arrays)
     products = np.array([a[1:] @ a[:-1] for a in arrays])
     ends = np.array([[a[0], a[-1]] for a in arrays])
+    whole, inner, lagged = (
+        float(x.sum()) for x in (squares, squares - np.sum(ends**2, axis=1), products)
+    )
+    at_ends = ends.sum(axis=1) ** 2
 
     def innovations(phi):
         """Sum of squares of the innovations about the best means, and the means' information."""
-        inner = squares - np.sum(ends**2, axis=1)
-        whole = squares + phi**2 * inner - 2 * phi * products
         # The sum of a stretch is zero, so that only its ends remain of 1' V^-1 a.
-        mean = phi * (1 - phi) * ends.sum(axis=1)
         information = (1 - phi) * (lengths - (lengths - 2) * phi)
-        return np.sum(whole - mean**2 / information), information
+        means = (phi * (1 - phi)) ** 2 * float((at_ends / information).sum())
+        return whole + phi**2 * inner - 2 * phi * lagged - means, information
 
     def criterion(phi):
         rest, information = innovations(phi)
-        lost = np.sum(np.log(information)) - len(arrays) * np.log(1 - phi**2)
-        return freedom * np.log(rest) + lost
+        lost = float(np.log(information).sum()) - len(arrays) * math.log(1 - phi**2)
+        return freedom * math.log(rest) + lost
 
-    best: Any = scipy.optimize.minimize_scalar(criterion, bounds=(-_MOST, _MOST), method="bounded")
-    phi = float(best.x)
-    if abs(phi) * np.sqrt(n) < _SIGNIFICANT:
-        phi = 0.0
+    least = _SIGNIFICANT / math.sqrt(n)
+    inner_least = 0.99 * least
+    phi = 0.0
+    # Where it rises from there to either side, no correlation that is significant is best.
+    if min(criterion(least), criterion(-least)) <= max(map(criterion, (inner_least, -inner_least))):
+        best: Any = scipy.optimize.minimize_scalar(
+            criterion, bounds=(-_MOST, _MOST), method="bounded"
+        )
+        phi = float(best.x) if abs(best.x) >= least else 0.0
     variance = innovations(phi)[0] / freedom
     return Noise(float(np.sqrt(variance / (1 - phi**2))), phi, n)
 
@@ -155,9 +175,9 @@ def raise_to_resolution(noise: Noise, samples: ArrayLike) -> Noise:
     A signal that rests within one step of its resolution shows no noise at all.
     """
     samples = np.asarray(samples, float)
-    values = np.unique(samples)
-    steps = np.diff(values)
-    step = steps[steps > 1e-9 * np.ptp(values)].min(initial=np.inf)
+    values = np.sort(samples)
+    steps = values[1:] - values[:-1]
+    step = steps[steps > 1e-9 * (values[-1:] - values[:1])].min(initial=np.inf)
     least = step / np.sqrt(12.0) if np.isfinite(step) else 0.0
     least = max(least, 1e-12 * float(np.abs(samples).max(initial=0.0)), 1e-30)
     return noise if noise.level >= least else Noise(float(least), 0.0, noise.n)
@@ -174,24 +194,45 @@ def count_still(samples: ArrayLike, noise: Noise) -> int:
     The stretch grows by steps of a fifth until a slope and a curvature together are significant
     (p < 1e-5), and then is halved in on.
     """
-    samples = np.asarray(samples, float)
-
-    def still(size: int) -> bool:
-        s = np.linspace(-1.0, 1.0, size)
-        columns = np.stack([np.ones(size), s, s * s - 1 / 3, samples[-size:] - samples[-1]], 1)
-        r = np.linalg.qr(make_whitening(np.arange(size), noise)(columns))[1]
-        return bool(r[1, 3] ** 2 + r[2, 3] ** 2 < scipy.special.chdtri(2, 1e-5))
-
-    found, size = 0, 8
-    while size <= len(samples) and still(size):
-        found, size = size, int(1.2 * size) + 1
+    last_first = np.asarray(samples, float)[::-1]
+    reach = _FIRST_REACH
+    while True:
+        still = _measure_trends(last_first[:reach], noise) < _TREND
+        found, size = 0, 8
+        while size <= len(still) and still[size - 1]:
+            found, size = size, int(1.2 * size) + 1
+        if size <= len(still) or len(still) == len(last_first):
+            break
+        reach *= 8
     if not found:
         return 0
-    moving = min(size, len(samples) + 1)  # the least size known to fail, or to be too large
+    moving = min(size, len(still) + 1)  # the least size known to fail, or to be too large
     while moving - found > 1:
         middle = (found + moving) // 2
-        found, moving = (middle, moving) if still(middle) else (found, middle)
+        found, moving = (middle, moving) if still[middle - 1] else (found, middle)
     return found
+
+
+def _measure_trends(y: NDArray, noise: Noise) -> NDArray:
+    """Chi-square (n,) of a slope and a curvature together in the first 1 ... n of y (n,).
+
+    All from running sums: AR(1) noise looks the same backwards, so a stretch may be whitened from
+    the end that all of them share. NaN for less than three samples.
+    """
+    u = np.arange(len(y)) / max(len(y), 1)
+    rows = np.stack([np.ones(len(y)), u, u * u, y - y[:1]], axis=1)
+    one, u, v, y = np.ascontiguousarray(whiten_consecutive(rows, noise).T)
+    pairs = np.stack([one * one, one * u, one * v, one * y, u * u, u * v, u * y, v * v, v * y])
+    oo, ou, ov, oy, uu, uv, uy, vv, vy = np.cumsum(pairs, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # Cholesky's elimination, by hand for all stretches at once
+        slope = uu - ou * ou / oo
+        mixed = (uv - ou * ov / oo) / slope
+        right = uy - ou * oy / oo
+        bend = vv - ov * ov / oo - mixed * mixed * slope
+        chi2 = right**2 / slope + (vy - ov * oy / oo - mixed * right) ** 2 / bend
+    chi2[:2] = np.nan
+    return chi2
 
 
 def estimate_quiet_noise(channel: Channel, at_rest: float = np.inf) -> Noise:

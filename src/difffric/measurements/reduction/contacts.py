@@ -43,21 +43,27 @@ class Contact:
 
 def _spread(kernel: NDArray, noise: Noise) -> float:
     """Standard deviation of a weighted sum of neighbouring samples."""
-    lag = np.abs(np.subtract.outer(np.arange(len(kernel)), np.arange(len(kernel))))
-    phi = noise.correlation
-    return float(noise.level * np.sqrt(kernel @ (np.sign(phi) ** lag * abs(phi) ** lag) @ kernel))
+    own = np.correlate(kernel, kernel, "full")[len(kernel) - 1 :]  # by lag
+    correlations = noise.correlation ** np.arange(len(own))
+    return float(noise.level * np.sqrt(2 * own @ correlations - own[0]))
 
 
 def _smooth(y: NDArray, size: int) -> NDArray:
     """Moving mean over `size` points, fewer at the ends."""
-    ones = np.ones(min(size, len(y)))
-    return np.convolve(y, ones, "same") / np.convolve(np.ones(len(y)), ones, "same")
+    size = min(size, len(y))
+    points = np.full(len(y), float(size))
+    before, behind = size // 2, (size - 1) // 2
+    points[:before] -= np.arange(before, 0, -1)
+    points[len(y) - behind :] -= np.arange(1, behind + 1)
+    return np.convolve(y, np.ones(size), "same") / points
 
 
 def _jumps(y: NDArray, size: int) -> tuple[NDArray, NDArray]:
     """(jump before point i, its kernel): lines through `size` points either side, extrapolated."""
+    # Least squares: the weights by which a line through the points s = 1/2, 3/2, ... is read at 0.
     s = np.arange(size) + 0.5
-    weights = np.linalg.pinv(np.stack([np.ones(size), s], 1))[0]
+    middle = size / 2
+    weights = 1 / size - middle * (s - middle) / max(size * (size**2 - 1) / 12, 1)
     kernel = np.concatenate([-weights[::-1], weights])
     out = np.zeros(len(y))
     if len(y) >= 2 * size:
@@ -83,10 +89,11 @@ def find_contacts(force: Channel, coarse: Stretch, level: float) -> list[Contact
     f = coarse.y - level
     if len(f) < 8:
         return []
-    half = 0.5 * _smooth(f, 8).max()
-    above = _smooth(f, 8) > half
-    width = int(above[np.argmax(_smooth(f, 8)) :].argmin() or above.sum())
-    back = above[: np.argmax(_smooth(f, 8)) + 1][::-1]
+    smooth = _smooth(f, 8)
+    at = int(np.argmax(smooth))
+    above = smooth > 0.5 * smooth[at]
+    width = int(above[at:].argmin() or above.sum())
+    back = above[: at + 1][::-1]
     width += int(back.argmin() or len(back))
     size = min(max(1, width // 15), SMOOTHEST)
     smooth = _smooth(f, size)
@@ -112,9 +119,9 @@ def find_contacts(force: Channel, coarse: Stretch, level: float) -> list[Contact
         least = np.full(len(f), max(threshold, _LEAST_JUMP * peak))
         least[max(b - 3 * reach, 0) :] = max(threshold, 0.25 * peak)  # the edge at the loss itself
         size_of = np.abs(jump)
-        for j in range((i if struck else a) + reach, min(b + 1, len(f) - reach)):
-            near = size_of[max(j - reach, 0) : j + reach + 1]
-            if size_of[j] > least[j] and size_of[j] == near.max():
+        first, stop = (i if struck else a) + reach, min(b + 1, len(f) - reach)
+        for j in first + np.flatnonzero((size_of > least)[first:stop]):
+            if size_of[j] == size_of[max(j - reach, 0) : j + reach + 1].max():
                 inside.append(_locate(force, float(coarse.t[j]) - coarse.dt / 2, coarse.dt))
         if struck:
             onset = _locate(force, onset, coarse.dt)

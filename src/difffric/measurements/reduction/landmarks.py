@@ -84,9 +84,9 @@ def _peak_in(force, a, b, noise, centre, width, limits) -> LocalEstimate | None:
 
 def _peak_extra(degree):
     """A higher power, and a kink on either side: the damper lets go soon after the peak."""
-    return lambda s, ends: np.stack(
-        [s ** (degree + 1), np.maximum(s - 0.3 * ends[1], 0), np.maximum(0.3 * ends[0] - s, 0)],
-        axis=1,
+    return lambda s, first, last: np.stack(
+        [s ** (degree + 1), np.maximum(s - 0.3 * last, 0), np.maximum(0.3 * first - s, 0)],
+        axis=-1,
     )
 
 
@@ -178,10 +178,11 @@ def find_slide(position: Channel, edge: float, begin: float, stop: float, noise:
         stretch,
         edge,
         scale,
-        lambda s: np.concatenate([powers(2)(s), _sides(s, 3)], axis=1),
-        lambda s, _: _sides(s, 4),
+        lambda s: np.concatenate([powers(2)(s), _sides(s, 3)], axis=-1),
+        lambda s, *_: _sides(s, 4),
         **_both(stretch, edge, 3),
         least=10,
+        nested=True,
     )
     if fit is None:
         return None
@@ -190,7 +191,7 @@ def find_slide(position: Channel, edge: float, begin: float, stop: float, noise:
     whole = None
     if len(stretch.t) - i >= 8:
         whole = fit_window(
-            stretch, i, len(stretch.t), edge, scale, powers(2), lambda s, _: powers(4, 3)(s)
+            stretch, i, len(stretch.t), edge, scale, powers(2), lambda s, *_: powers(4, 3)(s)
         )
     mean = (np.nan, np.nan)
     if whole is not None:
@@ -199,7 +200,7 @@ def find_slide(position: Channel, edge: float, begin: float, stop: float, noise:
 
 
 def _sides(s, power):
-    return np.stack([(s < 0) * s**power, (s >= 0) * s**power], axis=1)
+    return np.stack([(s < 0) * s**power, (s >= 0) * s**power], axis=-1)
 
 
 def find_rest(position: Channel, noise: Noise, velocity: float) -> LocalEstimate | None:

@@ -7,8 +7,9 @@ are not significant; the bias that this leaves is small beside the noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -16,14 +17,16 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from difffric.measurements.noise import Noise, make_whitening
+from difffric.measurements.noise import Noise, whiten_consecutive
 from difffric.measurements.recordings import Channel
 
 MOST = 400
 """Points that a stretch keeps: more are averaged in blocks."""
 _PIECE = 1 << 20  # samples in memory at a time
 _LEVELS = (0.3, 0.03, 0.001)  # p-values of the higher terms: strict first, as what passes is bias
+_LIMITS = 512  # degrees of freedom that limits are computed for, if no more are asked for
 _SHRINK = 0.7  # of the window found: it ends where the higher terms begin to show
+_UPPER = np.triu(np.ones((16, 16)))  # more than any design has columns
 
 
 class LocalEstimate(NamedTuple):
@@ -97,19 +100,20 @@ class LocalFit:
 
 
 Columns = Callable[[NDArray], NDArray]
-"""s (n,) to the columns of a design (n, columns)"""
-HigherTerms = Callable[[NDArray, tuple[float, float]], NDArray]
-"""s (n,) and a window's ends to the columns (n, columns) of terms higher than those fitted"""
+"""s (..., n) to the columns of a design (..., n, columns)"""
+HigherTerms = Callable[..., NDArray]
+"""s (..., n) and the first and last s of a window (..., 1) to the columns (..., n, columns) of
+terms higher than those fitted"""
 
 
 def powers(degree: int, start: int = 0) -> Columns:
     """The columns s^start ... s^degree."""
 
     def columns(s: NDArray) -> NDArray:
-        out = np.ones((len(s), degree + 1))
+        out = np.ones((*s.shape, degree + 1))
         for n in range(1, degree + 1):
-            np.multiply(out[:, n - 1], s, out=out[:, n])
-        return out[:, start:]
+            np.multiply(out[..., n - 1], s, out=out[..., n])
+        return out[..., start:]
 
     return columns
 
@@ -125,36 +129,40 @@ def fit_window(
 ) -> LocalFit:
     """Fit the columns `design(s)` of s = (t - centre) / scale to points lo <= i < hi.
 
-    `extra(s, ends)` are the higher terms whose significance decides whether the fit is adequate;
-    `ends` are the window's, in s.
+    `extra(s, first, last)` are the higher terms whose significance decides whether the fit is
+    adequate, given the window's first and last s.
     """
     s = (stretch.t[lo:hi] - centre) / scale
-    columns = design(s)
-    p = columns.shape[1]
+    columns = [design(s)]
+    p = columns[0].shape[1]
     if extra is not None:
-        columns = np.concatenate([columns, extra(s, (s[0], s[-1]))], axis=1)
-    y = stretch.y[lo:hi]
-    white = make_whitening(np.arange(lo, hi), stretch.noise)(
-        np.concatenate([columns, y[:, None]], 1)
-    )
-    norms = np.sqrt(np.einsum("ij,ij->j", white[:, :-1], white[:, :-1]))
+        columns.append(extra(s, s[:1], s[-1:]))
+    rows = np.concatenate([*columns, stretch.y[lo:hi, None]], axis=1)
+    return fit_rows(whiten_consecutive(rows, stretch.noise), p, lo, hi)
+
+
+def fit_rows(white: NDArray, p: int, lo: int, hi: int) -> LocalFit:
+    """Fit the first `p` columns of whitened rows (n, columns + 1) to the last one; the columns
+    between are higher terms. The rows are those of the points lo <= i < hi."""
+    q = white.shape[1] - 1
+    norms = np.sqrt(np.einsum("ij,ij->j", white, white))
     norms[norms == 0] = 1.0
-    r: NDArray = np.asarray(
-        np.linalg.qr(np.concatenate([white[:, :-1] / norms, white[:, -1:]], 1), mode="r")
-    )
-    upper, rhs = r[:p, :p], r[:p, -1]
-    firm = np.abs(np.diag(upper)).min(initial=np.inf) > 1e-9
-    inverse = np.linalg.inv(upper) if firm else np.linalg.pinv(upper, rcond=1e-9)
-    q = columns.shape[1]
-    higher, rest = float(r[p:q, -1] @ r[p:q, -1]), float(r[q:, -1] @ r[q:, -1])
+    norms[q] = 1.0
+    r: NDArray = scipy.linalg.lapack.dgeqrf(white / norms)[0]
+    last = r[: q + 1, q]  # what is beyond the matrix' end is zero
+    upper = r[:p, :p] * _UPPER[: len(r[:p]), :p]
+    if len(r) >= p and np.abs(upper.diagonal()).min(initial=np.inf) > 1e-9:
+        inverse = scipy.linalg.lapack.dtrtri(upper)[0]
+    else:
+        inverse = np.linalg.pinv(upper, rcond=1e-9)
+    higher, rest = float(last[p:q] @ last[p:q]), float(last[q:] @ last[q:])
     chi2 = (higher + rest) / max(hi - lo - p, 1)
-    passed = 1.0
-    if extra is not None:
-        passed = float(_significance(higher, rest, q - p, hi - lo - q))
-    covariance = inverse @ inverse.T / np.outer(norms[:p], norms[:p])
+    passed = _find_significance_once(higher, rest, q - p, hi - lo - q) if q > p else 1.0
+    inverse /= norms[:p, None]
+    covariance = inverse @ inverse.T
     if not passed:
-        covariance = covariance * max(1.0, chi2)
-    return LocalFit(inverse @ rhs / norms[:p], covariance, chi2, lo, hi, passed)
+        covariance *= max(1.0, chi2)
+    return LocalFit(inverse @ last[:p], covariance, chi2, lo, hi, passed)
 
 
 def sizes(least: int, most: int, ratio: float = 1.45) -> list[int]:
@@ -166,65 +174,106 @@ def sizes(least: int, most: int, ratio: float = 1.45) -> list[int]:
     return [*found, most] if most >= 0 else []
 
 
-def _significance(higher, rest, extra: int, free) -> NDArray:
+def find_significance(higher: NDArray, rest: NDArray, extra: int, free: NDArray) -> NDArray:
     """The highest of `_LEVELS` at which the higher terms' chi-square `higher`, of `extra` degrees
-    of freedom, and the remainder's `rest`, of `free`, are no surprise; 0 where there is none."""
-    p_value = np.minimum(
-        scipy.special.chdtrc(extra, higher), 30 * scipy.special.chdtrc(np.maximum(free, 1), rest)
-    )
-    return np.select([p_value > level for level in _LEVELS], _LEVELS, 0.0)
+    of freedom, and the remainder's `rest`, of `free`, are no surprise; 0 where there is none. The
+    remainder may have thirty times as small a p-value."""
+    free = np.maximum(free, 1)
+    of_higher, of_rest = _find_limits(1.0, 16), _find_limits(30.0, _reach(int(free.max())))
+    passed = np.zeros(np.broadcast_shapes(higher.shape, free.shape))
+    for k in range(len(_LEVELS) - 1, -1, -1):
+        passed[(higher < of_higher[k, extra]) & (rest < of_rest[k].take(free))] = _LEVELS[k]
+    return passed
 
 
-def _grams(stretch: Stretch, i: int, s: NDArray, columns, left, right, nested) -> NDArray:
-    """Gram matrices (len(left), len(right), columns, columns) of the whitened columns of the
-    windows i - a <= j < i + b: each is the sum of its two sides'. `nested`: the columns do not
-    depend on the windows' ends.
+def _find_significance_once(higher: float, rest: float, extra: int, free: int) -> float:
+    """As `find_significance`, of numbers."""
+    of_higher, of_rest = _find_limits(1.0, 16), _find_limits(30.0, _reach(free))
+    for k, level in enumerate(_LEVELS):
+        if higher < of_higher[k, extra] and rest < of_rest[k, max(free, 1)]:
+            return level
+    return 0.0
+
+
+def _reach(free: int) -> int:
+    """How many limits are computed where as many as `free` degrees of freedom are asked for."""
+    return _LIMITS << max(free // _LIMITS, 0).bit_length()
+
+
+@lru_cache
+def _find_limits(weaker: float, n: int) -> NDArray:
+    """Chi-squares (levels, n) of 0 ... n - 1 degrees of freedom whose p-values are `_LEVELS` over
+    `weaker`: computed once, as comparing takes far less time than a p-value."""
+    return scipy.special.chdtri(np.arange(n), np.array(_LEVELS)[:, None] / weaker)
+
+
+def sum_nested(rows: NDArray, sizes: Sequence[int]) -> NDArray:
+    """Gram matrices (len(sizes), columns, columns) of the first so many rows, for rising sizes:
+    each adds to the one before."""
+    edges = [0, *sizes]
+    parts = [rows[lo:hi].T @ rows[lo:hi] for lo, hi in pairwise(edges)]
+    return np.cumsum(parts, axis=0)
+
+
+def join_grams(
+    raw: NDArray, white: NDArray, i: int, left: Sequence[int], right: Sequence[int]
+) -> NDArray:
+    """Gram matrices (len(left), len(right), columns, columns) of the windows i - a <= j < i + b of
+    `raw` rows, of unit variance, and of the same whitened, where all columns look the same from
+    every window. A window begins a series of its own, with a row that is not whitened.
 
     Not as good as a QR factorisation, but good enough to choose a window by.
     """
-    correlated = bool(stretch.noise.correlation)
-    y = stretch.y - stretch.y[min(i, len(s) - 1)]
-    if nested and not correlated:
-        part = slice(i - left[-1], i + right[-1])
-        rows = np.concatenate([columns(s[part], (-np.inf, np.inf)), y[part, None]], axis=1)
-        rows /= stretch.noise.level
-        before, behind = (
-            _sum_nested(rows[: left[-1]][::-1], left),
-            _sum_nested(rows[left[-1] :], right),
-        )
-        return before[:, None] + behind
+    before = sum_nested(white[i - left[-1] : i][::-1], left)
+    if white is not raw:
+        start, some = i - np.array(left), np.array(left) > 0
+        for rows, sign in ((raw, 1.0), (white, -1.0)):
+            first = np.where(some[:, None], rows[np.minimum(start, len(rows) - 1)], 0.0)
+            before = before + sign * first[:, :, None] * first[:, None, :]
+    whole = before[:, None] + sum_nested(white[i : i + right[-1]], right)
+    if white is not raw and left[0] == 0 and right[-1]:
+        own = np.outer(raw[i], raw[i]) - np.outer(white[i], white[i])
+        whole[0, np.array(right) > 0] += own
+    return whole
 
-    def gram(lo, hi, ends, joined):
-        """Of the rows lo <= j < hi; `joined` to the one before or on their own."""
-        begin = lo - 1 if joined else lo
-        rows = np.concatenate([columns(s[begin:hi], ends), y[begin:hi, None]], axis=1)
-        if correlated:
-            rows = make_whitening(np.arange(begin, hi), stretch.noise)(rows)[lo - begin :]
-        return rows.T @ rows / (1.0 if correlated else stretch.noise.level**2)
 
-    n = columns(s[:1], (0.0, 0.0)).shape[1] + 1
-    out = np.zeros((len(left), len(right), n, n))
-    for row, a in zip(out, left, strict=True):
-        if a:
-            row += gram(i - a, i, (s[i - a], np.inf), False)
-    behind = np.array([a > 0 for a in left])
-    for column, b in zip(np.moveaxis(out, 1, 0), right, strict=True):
-        if not b:
-            continue
-        ends = (-np.inf, s[i + b - 1])
-        if not correlated:
-            column += gram(i, i + b, ends, False)
-            continue
-        for joined in {bool(x) for x in behind}:
-            column[behind == joined] += gram(i, i + b, ends, joined)
+def _grams(stretch: Stretch, i: int, s: NDArray, columns, left, right) -> NDArray:
+    """As `join_grams`, of columns that look at the windows' ends: each is the sum of its two
+    sides'."""
+    noise, y = stretch.noise, stretch.y - stretch.y[min(i, len(s) - 1)]
+
+    def white(lo, hi, starts, stops):
+        """Rows lo <= j < hi of windows with such ends (k,), whitened: (k, hi - lo, columns)."""
+        t = np.broadcast_to(s[lo:hi], (len(starts), hi - lo))
+        some = columns(t, starts[:, None], stops[:, None])
+        rows = np.concatenate([some, np.broadcast_to(y[lo:hi, None], (*t.shape, 1))], axis=2)
+        return rows
+
+    def gram(rows):
+        return rows.swapaxes(1, 2) @ rows
+
+    out = np.zeros((len(left), len(right), 1, 1))
+    far = np.full(1, np.inf)
+    if left[-1]:
+        rows = white(i - left[-1], i, s[i - left], np.repeat(far, len(left)))
+        begin = left[-1] - left
+        inside = np.arange(left[-1]) >= begin[:, None]
+        rows = whiten_consecutive((rows * inside[..., None]).swapaxes(0, 1), noise).swapaxes(0, 1)
+        if noise.correlation:
+            some = np.flatnonzero(begin)  # the first one of all begins a series as it is
+            some = some[left[some] > 0]
+            rows[some, begin[some]] *= np.sqrt(1 - noise.correlation**2)
+        out = out + gram(rows)[:, None]
+    if right[-1]:
+        inside = np.arange(right[-1]) < right[:, None]
+        stops = s[np.maximum(i + right - 1, 0)]
+        behind = []
+        for joined in (0, 1) if noise.correlation and i else (0,):
+            rows = white(i - joined, i + right[-1], np.repeat(-far, len(right)), stops)
+            rows = whiten_consecutive(rows.swapaxes(0, 1), noise).swapaxes(0, 1)[:, joined:]
+            behind.append(gram(rows * inside[..., None]))
+        out = out + np.array([behind[-1 if a else 0] for a in left])
     return out
-
-
-def _sum_nested(rows: NDArray, sizes: NDArray) -> NDArray:
-    """Gram matrices of the first so many rows, for rising sizes: each adds to the one before."""
-    edges = [0, *sizes.tolist()]
-    parts = [rows[lo:hi].T @ rows[lo:hi] for lo, hi in pairwise(edges)]
-    return np.cumsum(parts, axis=0)
 
 
 def best_window(
@@ -251,31 +300,56 @@ def best_window(
     i = int(np.searchsorted(stretch.t, centre))
     before, behind = (np.array(sorted(set(n))) for n in (left, right))
     size = before[:, None] + behind
-    if not (size >= least).any():
+    enough = size >= least
+    if not enough.any():
         return None
 
-    def columns(s, ends):
-        return np.concatenate([design(s), extra(s, ends)], axis=1)
+    def columns(s, first, last):
+        return np.concatenate([design(s), extra(s, first, last)], axis=-1)
 
     s = (stretch.t - centre) / scale
-    gram = _grams(stretch, i, s, columns, before, behind, nested)[size >= least]
-    p, q = design(s[:1]).shape[1], gram.shape[-1] - 1
-    norms = np.sqrt(np.diagonal(gram, axis1=1, axis2=2))
-    norms[norms == 0] = 1.0
-    gram = gram / (norms[:, :, None] * norms[:, None, :]) + 1e-12 * np.eye(q + 1)
-    r = np.linalg.cholesky(gram).swapaxes(1, 2)
-    last = (r[:, :, -1] * norms[:, -1:]) ** 2
-    n = size[size >= least]
-    passed = _significance(last[:, p:q].sum(1), last[:, q], q - p, n - q)
-    unit = np.broadcast_to(np.eye(p)[of], (len(r), p))[..., None]
-    se = np.linalg.norm(np.linalg.solve(r[:, :p, :p].swapaxes(1, 2), unit)[..., 0], axis=1)
+    p = design(s[:1]).shape[1]
+    if nested:
+        y = stretch.y - stretch.y[min(i, len(s) - 1)]
+        raw = np.concatenate([columns(s, -np.inf, np.inf), y[:, None]], axis=1)
+        white = whiten_consecutive(raw, stretch.noise)
+        raw = raw / stretch.noise.level if stretch.noise.correlation else white
+        gram = join_grams(raw, white, i, before.tolist(), behind.tolist())[enough]
+    else:
+        gram = _grams(stretch, i, s, columns, before, behind)[enough]
+    scaled, norms = scale_gram(gram)
+    r = np.linalg.cholesky(scaled)
+    q = gram.shape[-1] - 1
+    last = (r[:, -1] * norms[:, -1:]) ** 2
+    n = size[enough]
+    passed = find_significance(last[:, p:q].sum(1), last[:, q], q - p, n - q)
+    unit = np.zeros((p, 1))
+    unit[of] = 1.0
+    se = np.sqrt(np.square(np.linalg.solve(r[:, :p, :p], unit)).sum(axis=(1, 2)))
     rank = np.where(passed > 0, se / norms[:, of], n)
-    chosen = int(np.lexsort((rank, -passed))[0])
-    ends = np.broadcast_arrays(i - before[:, None], i + behind)
-    lo, hi = (int(e[size >= least][chosen]) for e in ends)
+    chosen = int(np.where(passed == passed.max(), rank, np.inf).argmin())
+    row, column = (int(k[chosen]) for k in np.nonzero(enough))
+    lo, hi = i - int(before[row]), i + int(behind[column])
     if passed[chosen]:
-        short_lo = lo if lo in keep else i - max(round(_SHRINK * (i - lo)), int(before[0]))
-        short_hi = hi if hi in keep else i + max(round(_SHRINK * (hi - i)), int(behind[0]))
+        short_lo, short_hi = shorten(lo, hi, i, int(before[0]), int(behind[0]))
+        short_lo, short_hi = lo if lo in keep else short_lo, hi if hi in keep else short_hi
         if short_hi - short_lo >= least:
             lo, hi = short_lo, short_hi
     return fit_window(stretch, lo, hi, centre, scale, design, extra)
+
+
+def scale_gram(gram: NDArray) -> tuple[NDArray, NDArray]:
+    """(Gram matrices (n, k, k) of columns scaled to length one, with a little on their diagonals so
+    that they have Cholesky factors; those lengths (n, k))."""
+    n, k, _ = gram.shape
+    norms = np.sqrt(gram.reshape(n, -1)[:, :: k + 1])
+    norms[norms == 0] = 1.0
+    scaled = gram / (norms[:, :, None] * norms[:, None, :])
+    scaled.reshape(n, -1)[:, :: k + 1] += 1e-12
+    return scaled, norms
+
+
+def shorten(lo: int, hi: int, i: int, left: int, right: int) -> tuple[int, int]:
+    """A window about point i that ends before the higher terms begin to show, but has `left`
+    points and `right` ones."""
+    return i - max(round(_SHRINK * (i - lo)), left), i + max(round(_SHRINK * (hi - i)), right)

@@ -7,23 +7,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.measurements.noise import Noise, make_whitening
+from difffric.measurements.noise import Noise
 from difffric.measurements.recordings import Channel
 from difffric.measurements.reduction.contacts import SMOOTHEST, Contact
+from difffric.measurements.reduction.edge_profile import find_edge_posterior, find_rough_edge
+from difffric.measurements.reduction.edge_windows import fit_falls
 from difffric.measurements.reduction.local_polynomials import (
     LocalEstimate,
     LocalFit,
     Stretch,
-    best_window,
-    fit_window,
-    powers,
     sizes,
 )
 
 _SEEN = 6.0  # standard errors above the level at which there is a force for certain
 _STEP = 12.0  # chi-square of a step at the edge that cannot be noise
 _UNSEEN = 3.0  # and up to which there may be none
-_DEGREES = ((1, 6), (2, 1 << 30), (3, 1 << 30))  # of the fall, and for how many points at most
 
 
 def find_release(
@@ -152,7 +150,7 @@ def _fall(force, noise, tail: _Tail, begin: float) -> LocalEstimate | None:
     while True:
         after = max(2 * scale, 60 * force.dt)
         stretch = Stretch.of(force, max(begin, edge - scale), edge + after, noise)
-        start = _rough_edge(stretch, scale, (earliest, latest))
+        start = find_rough_edge(stretch, scale, (earliest, latest))
         found = _edge(stretch, start, scale, (earliest, latest))
         if found is not None:
             rank, fit, estimate = found
@@ -180,31 +178,14 @@ def _edge(
         n = len(stretch.t) - i
         if i < 2 or n < 3:
             return best
-        found = []
-        for degree, most in _DEGREES:
-            if i < (degree + 2 if degree > 1 else 2):
-                continue
-            known = i - int(np.searchsorted(stretch.t, within[0] - 0.1 * stretch.dt))
-            short = min(max(degree + 2, known), i)  # up to where the force is seen for certain
-            fit = best_window(
-                stretch,
-                edge,
-                scale,
-                _edge_columns(degree, stretch.block / scale, step=True),
-                _edge_extra(degree),
-                left=sizes(short, min(i, max(most, short))),
-                right=sizes(min(max(6, round(scale / stretch.dt)), n), n, 1.6),
-                least=degree + 6,
-                of=degree + 1,
-                nested=True,
-            )
-            if fit is not None:
-                width = fit.se(degree + 1) if fit.passed else fit.reduced_chi2
-                found.append((min(fit.passed, 0.03), -width, degree, fit))
+        found = [
+            (min(fit.passed, 0.03), -(fit.se(1) if fit.passed else fit.reduced_chi2), degree, fit)
+            for degree, fit in fit_falls(stretch, edge, scale, within[0])
+        ]
         if not found:
             return best
         passed, width, degree, fit = max(found, key=lambda f: f[:2])
-        posterior = _edge_posterior(stretch, fit, degree, within, scale)
+        posterior = find_edge_posterior(stretch, fit, degree, within, scale)
         if posterior is None:
             return best
         moved, (edge, spread, chi2) = abs(posterior[0] - edge), posterior
@@ -215,87 +196,3 @@ def _edge(
         if moved < spread / 2:
             break
     return best
-
-
-def _edge_posterior(
-    stretch, fit: LocalFit, degree, within, scale
-) -> tuple[float, float, float] | None:
-    """Mean and standard deviation of the edge in the window of a fit, and the least chi-square;
-    None: nothing falls there.
-
-    The chi-square is not a parabola in the edge where it moves from sample to sample, least of
-    all with correlated noise; the mean over it stays right. The prior is flat in the
-    coefficients of the falling polynomial, and so goes with its slope at the edge.
-    """
-    t = stretch.t[fit.lo : fit.hi]
-    lo, hi = max(within[0], t[min(degree, len(t)) - 1] + 0.05 * stretch.dt), min(within[1], t[-2])
-    if not hi > lo:
-        return None
-    birge = max(1.0, fit.reduced_chi2) if not fit.passed else 1.0
-    edge = spread = least = np.nan
-    for _ in range(12):
-        edges = np.linspace(lo, hi, 31)
-        chi2, slopes = _profile(stretch, fit, degree, edges, scale)
-        falling = np.maximum(-slopes, 0.0)
-        if not falling.any():
-            return None
-        least = float(chi2[falling > 0].min())
-        excess = np.maximum(chi2 - least, 0.0) / birge
-        weight = falling * np.exp(-0.5 * excess)
-        weight /= weight.sum()
-        edge, step = float(weight @ edges), edges[1] - edges[0]
-        spread = float(np.sqrt(weight @ (edges - edge) ** 2))
-        if spread > 1.5 * step or step < 1e-9 * scale:
-            break
-        reach = max(8 * spread, 3 * step)
-        lo, hi = max(lo, edge - reach), min(hi, edge + reach)
-    return edge, spread, least
-
-
-def _profile(stretch, fit: LocalFit, degree, edges, scale):
-    """(chi-square, slope at the edge) with each of the `edges` in the window of a fit, at once."""
-    t = stretch.t[fit.lo : fit.hi]
-    s = ((t - edges[:, None]) / scale).ravel()
-    columns = _edge_columns(degree, stretch.block / scale)(s).reshape(len(edges), len(t), -1)
-    y = np.broadcast_to(stretch.y[fit.lo : fit.hi], columns.shape[:2])
-    both = np.moveaxis(np.concatenate([columns, y[..., None]], axis=2), 1, 0)
-    white = np.moveaxis(make_whitening(np.arange(len(t)), stretch.noise)(both), 0, 1)
-    norms = np.linalg.norm(white, axis=1, keepdims=True)
-    norms[norms == 0] = 1.0
-    r: NDArray = np.asarray(np.linalg.qr(white / norms, mode="r"))
-    upper = r[:, :-1, :-1] + 1e-14 * np.eye(degree + 1)
-    coefficients = np.linalg.solve(upper, r[:, :-1, -1:])[..., 0]
-    last = norms[:, 0, -1]
-    return (r[:, -1, -1] * last) ** 2, coefficients[:, 1] * last / norms[:, 0, 1]
-
-
-def _rough_edge(stretch: Stretch, scale: float, within: tuple[float, float]) -> float:
-    """The edge `within` these times that a parabola and a level explain best."""
-    if len(stretch.t) < 8:
-        return within[0]
-    fit = fit_window(stretch, 0, len(stretch.t), within[0], scale, powers(0))
-    edges = np.linspace(*within, 32)
-    return float(edges[int(np.argmin(_profile(stretch, fit, 2, edges, scale)[0]))])
-
-
-def _edge_columns(degree, block, step=False):
-    """The level, and powers of s before the edge (s < 0), averaged over each point's block; last
-    a step there where asked for."""
-
-    def columns(s):
-        if block > 0:  # exactly: a mean across the edge is on neither side of it
-            whole = powers(degree + 1)
-            means = whole(np.minimum(s + block / 2, 0)) - whole(np.minimum(s - block / 2, 0))
-            falling = means[:, 1:] / (block * np.arange(1, degree + 2))
-            falling[:, 0] = 1.0
-        else:
-            falling = powers(degree)(np.minimum(s, 0.0))
-        return np.concatenate([falling, (s < 0.0)[:, None]], axis=1) if step else falling
-
-    return columns
-
-
-def _edge_extra(degree):
-    return lambda s, _: np.stack(
-        [(s < 0) * s ** (degree + 1), (s < 0) * s ** (degree + 2), (s >= 0) * s], axis=1
-    )

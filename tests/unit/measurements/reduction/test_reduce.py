@@ -301,8 +301,8 @@ def test_the_best_of_all_windows(phi, centre):
     np.testing.assert_array_equal(found.coefficients, best.coefficients)
 
 
-def _cubic(s, ends):
-    return np.stack([s**3, np.maximum(s - 0.3 * ends[1], 0)], axis=1)
+def _cubic(s, first, last):
+    return np.stack([s**3, np.maximum(s - 0.3 * last, 0)], axis=-1)
 
 
 # ---- random rigs: short, late and last contacts, releases at the pusher's stop
