@@ -16,16 +16,14 @@ from collections.abc import Callable
 from functools import cache, wraps
 from typing import Any
 
-import jax
-from jax.experimental.xla_metadata import set_xla_metadata
-
 from difffric.compute.program_cache import CachedProgram, cache_program
 
 _SOON: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
 """XLA's newer code generator for fused loops takes most of the time that a large program needs
 to compile, and 0.5 GB."""
-_TESTED = jax.__version_info__ < (0, 11)
-"""The mark is internal to XLA: where it has not been tried, programs are compiled as usual."""
+_TESTED = (0, 11)
+"""The mark is internal to XLA: from this version of JAX on it has not been tried, and programs are
+compiled as usual."""
 _MARKS = {"xla_cpu_small_call": "true", "inlineable": "false"}
 """XLA's frontend attributes: `small_while_loop_hoisting_pass.cc`, `call_inliner.cc`."""
 
@@ -35,22 +33,7 @@ def compile_soon(function: Callable) -> CachedProgram:
 
     With a jaxlib that does not know the option it is `cache_program` alone.
     """
-    return cache_program(function, lambda: keep_known_options(_SOON))
-
-
-def keep_known_options(options: dict[str, Any]) -> dict[str, Any] | None:
-    """The compiler's options, or none where this jaxlib does not know them."""
-    return dict(options) if _are_known(tuple(options.items())) else None
-
-
-@cache
-def _are_known(options: tuple[tuple[str, Any], ...]) -> bool:
-    # Asked at the first use: at import there may be no device yet.
-    try:
-        jax.jit(lambda x: x, compiler_options=dict(options)).lower(0.0).compile()
-    except jax.errors.JaxRuntimeError:
-        return False
-    return True
+    return cache_program(function, _SOON)
 
 
 def in_one_piece(function: Callable) -> Callable:
@@ -61,18 +44,26 @@ def in_one_piece(function: Callable) -> Callable:
     that the function is called, not inlined.
     """
 
-    def call_unmarked(*args):
-        with set_xla_metadata(**dict.fromkeys(_MARKS)):
-            # XLA aborts where such a function leaves an argument unused: all are handed back.
-            return function(*args), jax.lax.optimization_barrier(args)
+    @cache
+    def called():
+        import jax
+        from jax.experimental.xla_metadata import set_xla_metadata
 
-    if not _TESTED:
-        return function
-    called = jax.jit(call_unmarked)
+        def call_unmarked(*args):
+            with set_xla_metadata(**dict.fromkeys(_MARKS)):
+                # XLA aborts where such a function leaves an argument unused: all are handed back.
+                return function(*args), jax.lax.optimization_barrier(args)
+
+        return jax.jit(call_unmarked)
 
     @wraps(function)
     def call_marked(*args):
+        import jax
+        from jax.experimental.xla_metadata import set_xla_metadata
+
+        if jax.__version_info__ >= _TESTED:
+            return function(*args)
         with set_xla_metadata(**_MARKS):
-            return jax.lax.optimization_barrier(called(*args))[0]
+            return jax.lax.optimization_barrier(called()(*args))[0]
 
     return call_marked

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from difffric.compute.precision import require_float64
 from difffric.compute.program_cache import has_own_classes
-from difffric.compute.programs.store import load_or_compile
-from difffric.compute.xla_options import in_one_piece, keep_known_options
+from difffric.compute.programs.store import keep_known_options, load_or_compile
+from difffric.compute.xla_options import in_one_piece
 from difffric.errors import InputError
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
@@ -174,13 +174,13 @@ def _compile_batch(
         return jax.lax.fori_loop(0, (length + _TILE - 1) // _TILE, step, empty)
 
     whole = in_one_piece(all_tiles) if _may_be_one_piece(rig, integrator) else all_tiles
-    options = keep_known_options(_OPTIONS)
     example = [np.asarray(0), np.empty(len(fixed)), np.empty((1 + len(varying), tiles, _TILE))]
     call = None
     if has_own_classes((rig, integrator)):
         key = ("observe_batch", str(structure), varying, names, tiles)
-        call = load_or_compile(key, lambda given: whole(*given), example, options)
+        call = load_or_compile(key, lambda given: whole(*given), example, _OPTIONS)
     if call is None:
+        options = keep_known_options(_OPTIONS)
         every = jax.jit(lambda given: whole(*given), compiler_options=options)
         call = every.lower(example).compile()
     return _BatchProgram(call, tuple(np.dtype(s.dtype) for s in shapes), tiles * _TILE)

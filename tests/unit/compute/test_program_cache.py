@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from threading import Thread
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ import pytest
 import difffric as df
 from difffric.compute.program_cache import cache_program
 from difffric.compute.programs import private_folder, store
-from difffric.compute.programs.store import FOLDER
+from difffric.compute.programs.private_folder import FOLDER
 
 ROOT = Path(__file__).parents[3]
 RIG = df.spring_damper_rig(mass=18.9, mu_s=0.141, mu_k_over_mu_s=0.75, k_v=5.0, k=8e5, b=1500.0)
@@ -187,6 +188,100 @@ def test_a_program_that_has_ended_two_processes_is_not_run_again(folder):
         ended = subprocess.Popen([sys.executable, "-c", ""])
         ended.wait()
         path.with_name(f"{path.name}.first-{ended.pid}").touch()
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_a_program_made_ready_is_the_one_that_is_called(folder, monkeypatch, kept):
+    if not kept:
+        monkeypatch.delenv(FOLDER)
+    function, traced = counted()
+    making = [Thread(target=function.prepare, args=ARGUMENTS) for _ in range(3)]
+    for thread in making:
+        thread.start()
+    for thread in making:
+        thread.join()
+    result = function(*ARGUMENTS)
+    assert len(traced) == 1 and equal(result, function.jitted(*ARGUMENTS))
+    assert len(files_of(folder)) == kept
+
+
+def test_processes_that_ask_at_once_make_a_program_once(folder):
+    call = [sys.executable, "-c", SOLVE]
+    both = [subprocess.Popen(call, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    told = [run.communicate(timeout=120)[0].split() for run in both]
+    assert sorted(words[0] for words in told) == ["0", "1"] and told[0][1:] == told[1][1:]
+    assert len(files_of(folder)) == 1
+
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from difffric.compute.programs.private_folder import hold
+with hold(Path(sys.argv[1])):
+    print("held", flush=True)
+    time.sleep(100)
+"""
+
+
+def test_a_lock_is_held_by_one_and_freed_by_its_end(tmp_path, monkeypatch):
+    path = tmp_path / "program.lock"
+    other = subprocess.Popen([sys.executable, "-c", HOLD, path], stdout=subprocess.PIPE, text=True)
+    assert other.stdout.readline() == "held\n"
+    with monkeypatch.context() as patch:
+        patch.setattr(private_folder, "_PATIENCE", 0.1)
+        assert private_folder._lock(path) is None
+    other.stdout.close()
+    other.kill()
+    with private_folder.hold(path):
+        assert path.exists()
+    assert not path.exists()
+    other.wait()
+
+
+def loops(x):
+    """Fusions, a loop, a product of matrices, a branch."""
+
+    def step(_, x):
+        return jnp.sin(x @ x.T) + jax.lax.cond(x[0, 0] > 0, jnp.exp, jnp.cos, x)
+
+    y = jax.lax.fori_loop(0, 3, step, x)
+    return {"sum": y.sum(), "whole": y}
+
+
+def test_a_stripped_program_is_smaller_and_gives_the_same(folder, monkeypatch):
+    x = np.linspace(-1.0, 1.0, 16).reshape(4, 4)
+    wanted = cache_program(loops).jitted(x)
+    contents = {}
+    for stripped in (True, False):
+        monkeypatch.setattr(store, "_STRIPPED", stripped)
+        for _ in range(2):  # as it was made, and as it is found
+            assert equal(cache_program(loops)(x), wanted)
+        (path,) = files_of(folder)
+        contents[stripped] = path.read_bytes()
+        path.unlink()
+    assert len(contents[True]) < 0.8 * len(contents[False])
+    source = Path(__file__).name.encode()
+    assert source in contents[False] and source not in contents[True]
+
+
+def refuse(executable):
+    raise ValueError("not laid out so")
+
+
+@pytest.mark.parametrize("edit", [refuse, lambda executable: executable[:-9], lambda _: b""])
+def test_a_program_that_cannot_be_stripped_is_kept_whole(folder, monkeypatch, edit):
+    monkeypatch.setattr(store, "strip", edit)
+    function, _ = counted()
+    wanted = function(*ARGUMENTS)
+    assert len(files_of(folder)) == 1
+    other, traced = counted()
+    assert equal(other(*ARGUMENTS), wanted) and not traced
+
+
+def test_a_stripped_program_that_gives_something_else_is_not_kept(folder, monkeypatch):
+    monkeypatch.setattr(store, "_same", lambda a, b: False)
+    function, _ = counted()
+    assert equal(function(*ARGUMENTS), function.jitted(*ARGUMENTS)) and not files_of(folder)
 
 
 def test_observables_are_those_of_the_library_without_it(folder, monkeypatch):

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from difffric.compute import xla_options
+from difffric.compute.programs.store import keep_known_options
 
 
 def test_a_program_compiled_soon_gives_the_same_numbers(monkeypatch):
@@ -16,5 +17,5 @@ def test_a_program_compiled_soon_gives_the_same_numbers(monkeypatch):
     assert np.allclose(xla_options.compile_soon(f)(x, 2), f(x, 2), rtol=1e-14)
     unknown = {"no_such_option": False}
     monkeypatch.setattr(xla_options, "_SOON", unknown)
-    assert xla_options.keep_known_options(unknown) is None
+    assert keep_known_options(unknown) is None
     assert np.allclose(xla_options.compile_soon(f)(x, 3), f(x, 3), rtol=1e-14)

@@ -15,6 +15,8 @@ try:
 except ImportError:  # Windows: there two processes may make the same
     fcntl = None
 
+FOLDER = "DIFFFRIC_PROGRAMS"
+"""Environment variable: where programs are kept; unset or empty: nowhere."""
 REFUSED = "not a folder that this user alone may write to"
 _MARK = ".difffric-"
 """Files that say which processes, by number, may be writing."""

@@ -32,6 +32,7 @@ import numpy as np
 
 import difffric
 from difffric.compute.programs.private_folder import (
+    FOLDER,
     REFUSED,
     hold,
     is_private,
@@ -41,8 +42,6 @@ from difffric.compute.programs.private_folder import (
 from difffric.compute.programs.record import Record
 from difffric.compute.programs.stripped import find_targets, strip
 
-FOLDER = "DIFFFRIC_PROGRAMS"
-"""Environment variable: where programs are kept; unset or empty: nowhere."""
 _PACKAGE = Path(difffric.__path__[0])
 """The folder whose files, however deep, make a program: a changed law must never run an old one."""
 _MADE_WITH = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
@@ -72,6 +71,8 @@ def load_or_compile(
 ) -> Callable | None:
     """`function` of a list of arrays compiled for arrays like these: from the disk, or put there.
     None where no programs are kept, and while another is traced.
+
+    Of `options` the compiler is given none where it does not know them all.
 
     `key` is all that makes the program but this library, what it stands on and the processor; its
     repr counts, and its first is the program's name.
@@ -104,6 +105,7 @@ def compile_now(
         trees.append(tree)
         return leaves
 
+    options = keep_known_options(options) if options else None
     with _tracing, record.time("traced"):
         _here.tracing = True
         try:
@@ -112,6 +114,22 @@ def compile_now(
             _here.tracing = False
     with _beside_jax_cache(), record.time("compiled"):
         return lowered.compile(), trees[0]
+
+
+def keep_known_options(options: dict[str, Any]) -> dict[str, Any] | None:
+    """The compiler's options, or none where this jaxlib does not know them."""
+    return dict(options) if _are_known(tuple(options.items())) else None
+
+
+@cache
+def _are_known(options: tuple[tuple[str, Any], ...]) -> bool:
+    # Asked when something is compiled: at import there may be no device yet, and a program that is
+    # found needs no answer.
+    try:
+        jax.jit(lambda x: x, compiler_options=dict(options)).lower(0.0).compile()
+    except jax.errors.JaxRuntimeError:
+        return False
+    return True
 
 
 def _make(
