@@ -24,6 +24,25 @@ def test_the_list_of_commands_imports_none_of_them():
 
 
 @pytest.mark.parametrize("name", main.COMMANDS)
+def test_the_help_of_a_command_loads_nothing_that_only_its_work_needs(name, monkeypatch):
+    """Neither what computes nor what checks and converts arguments; yet it is typer's own help."""
+    heavy = {"jax", "numpy", "matplotlib", "scipy", "polars", "pydantic", "platformdirs"}
+    heavy |= {"rich.progress", "difffric.commands.reports.page"}
+    code = (
+        "import sys\nfrom difffric.commands.main import app\n"
+        "app(sys.argv[1:], prog_name='difffric', standalone_mode=False)\n"
+        f"sys.exit(', '.join({heavy} & {{*sys.modules}}) or 0)"
+    )
+    call = [sys.executable, "-c", code, name, "--help"]
+    done = subprocess.run(call, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert f"Usage: difffric {name} " in done.stdout and "--help" in done.stdout
+    monkeypatch.setattr(main, "prepare_jax", lambda: None)
+    usual = CliRunner().invoke(main.app, [name, "x", "--help"], prog_name="difffric")
+    assert done.stdout.split() == usual.output.split()
+
+
+@pytest.mark.parametrize("name", main.COMMANDS)
 def test_a_command_is_a_function_of_its_name_and_says_what_the_list_says(name):
     command = main.load_command(name)
     assert command.name == name and command.help == main.COMMANDS[name]

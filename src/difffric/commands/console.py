@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from difffric.commands.reports.page import Report, Table, write_folder
+from difffric.commands import reports
 from difffric.errors import InputError
 from difffric.output_folder import check_writable
 from difffric.progress import Tell
+
+if TYPE_CHECKING:
+    from difffric.commands.reports.page import Report, Table
 
 _WIDEST = 200
 """Characters of a printed table: no table of ours needs more."""
@@ -70,7 +73,7 @@ def print_and_write(
             console.print(shown)
     console.width = own_width
     if out is not None:
-        write_folder(out, answer, report, files)
+        reports.page.write_folder(out, answer, report, files)
         names = ", ".join(["result.json", "report.html", *(files or {}), "figures"])
         console.print(f"written to {out}: {names}")
 

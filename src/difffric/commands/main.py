@@ -13,7 +13,6 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-import platformdirs
 import typer
 from typer.core import TyperGroup
 
@@ -52,9 +51,20 @@ _LIKE_ALL: dict[str, Any] = {"add_completion": False, "pretty_exceptions_enable"
 class LazyGroup(TyperGroup):
     """Commands of which only the one that is called is imported."""
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Take the arguments apart; show a command's help before any of them is converted, as what
+        converts them (pydantic) takes longer to load than all that the help needs."""
+        if args[1:2] == ["--help"] and args[0] in COMMANDS:
+            command = load_command(args[0])
+            with typer.Context(command, info_name=args[0], parent=ctx) as own:
+                typer.echo(command.get_help(own), color=own.color)
+                own.exit()
+        return super().parse_args(ctx, args)
+
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
         """Return the called command's name, the command itself, and its own arguments."""
         name, listed, rest = super().resolve_command(ctx, args)
+        prepare_jax()
         return name, listed if name is None else load_command(name), rest
 
 
@@ -85,7 +95,6 @@ def main() -> None:
 
     Bad input is one clear line on standard error and exit status 2, never a traceback.
     """
-    prepare_jax()
     try:
         sys.exit(app(standalone_mode=False) or 0)
     except UsageError as error:
@@ -112,6 +121,9 @@ def prepare_jax() -> None:
     # Equinox's error callbacks would keep programs out of the cache; failures come as NaN and
     # with a reason here.
     os.environ.setdefault("EQX_ON_ERROR", "nan")
+    # Here, as help needs no folder and would wait for the import.
+    import platformdirs
+
     cache = platformdirs.user_cache_path("difffric", appauthor=False)
     os.environ.setdefault("DIFFFRIC_PROGRAMS", str(cache / "programs"))
     folder = Path(os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache / "jax")))
