@@ -25,6 +25,9 @@ from difffric.simulation.segments import Push
 VELOCITY = "velocity_m_per_s"
 """The name of the pusher's speed among the parameters of derivatives."""
 
+MANY = 20_000
+"""Pushes from which on a compiled program pays: loading one takes a second or two, as these do."""
+
 _CHUNK = 2048
 """Lanes that go together: their some hundred intermediate columns stay in the second-level
 cache."""

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike, Float, Int
+from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from difffric.compute import pytrees
 from difffric.compute.xla_options import compile_soon
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
+from difffric.simulation import columns
 from difffric.simulation.observables import observe
 from difffric.simulation.segments import Integrator
 from difffric.units import from_mm_min
+
+if TYPE_CHECKING:
+    from jaxtyping import ArrayLike
 
 SPEEDS_MM_MIN = np.linspace(500.0, 5000.0, 19)
 """The speeds of the paper's experiments."""
@@ -50,6 +53,8 @@ class Family:
 
 @compile_soon
 def _grid(rig, velocity, mu_s, integrator):
+    import jax
+
     def one(velocity, mu_s):
         seen = observe(parameters.with_values(rig, {"mu_s": mu_s}), velocity, integrator)
         return seen.peak_force, seen.sliding_distance, seen.regime
@@ -71,7 +76,11 @@ def family(
     """
     speeds = from_mm_min(SPEEDS_MM_MIN) if velocity is None else np.asarray(velocity, float)
     frictions = MU_S if mu_s is None else np.asarray(mu_s, float)
-    F, d, regime = _grid(
-        pytrees.as_arrays(rig), jnp.asarray(speeds), jnp.asarray(frictions), integrator
-    )
-    return Family(speeds, frictions, np.asarray(F), np.asarray(d), np.asarray(regime))
+    if columns.serves(rig, integrator) and speeds.size * frictions.size <= columns.MANY:
+        v, mu_s = (x.ravel() for x in np.meshgrid(speeds, frictions, indexing="ij"))
+        seen = columns.observe_columns(parameters.with_values(rig, {"mu_s": mu_s}), v)
+        found = seen.peak_force, seen.sliding_distance, seen.regime
+    else:
+        found = _grid(*pytrees.as_arrays((rig, speeds, frictions)), integrator)
+    F, d, regime = (np.asarray(x).reshape(speeds.size, frictions.size) for x in found)
+    return Family(speeds, frictions, F, d, regime)

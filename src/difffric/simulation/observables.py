@@ -4,8 +4,6 @@ the push went. All of it can be differentiated and batched.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -14,6 +12,7 @@ from numpy.typing import NDArray
 
 from difffric.compute import arrays as xp
 from difffric.compute import pytrees
+from difffric.compute.program_cache import cache_program
 from difffric.rig.rig import Rig
 from difffric.simulation.events import MAX_CONTACTS, MAX_CYCLES, Reason, Regime
 from difffric.simulation.segments import Integrator, Push, State
@@ -65,16 +64,10 @@ def observe(
     jit what is built on it, as you like.
     """
     push = Push.of(rig, velocity, integrator)
-    return _compiled()(pytrees.as_arrays(push))
+    return _observe(pytrees.as_arrays(push))
 
 
-@cache
-def _compiled() -> Callable[[Push], Observables]:
-    from difffric.compute.program_cache import cache_program  # here: NumPy needs no JAX
-
-    return cache_program(_observe)
-
-
+@cache_program
 def _observe(push: Push) -> Observables:
     from difffric.simulation.stepping.integrator import RungeKutta
 
