@@ -54,28 +54,6 @@ def _are_equal(a: Any, b: Any) -> bool:
     return a is b or np.array_equal(a, b)
 
 
-def map_numbers(change: Callable[..., Any], tree: Tree, *others: Tree) -> Tree:
-    """The tree with `change(number, *those of the others)` in place of each number, as `jax.tree.map`
-    does it, of dataclasses and tuples; None stays."""
-    if tree is None:
-        return tree
-    parts = _read_parts(tree)
-    if parts is None:
-        return change(tree, *others)
-    rows = [_read_parts(other) or {} for other in others]
-    return _rebuild(
-        tree,
-        {name: map_numbers(change, x, *(row[name] for row in rows)) for name, x in parts.items()},
-    )
-
-
-def list_numbers(tree: Any) -> list[Any]:
-    """The tree's numbers in order, as `jax.tree.leaves` gives them."""
-    found: list[Any] = []
-    map_numbers(found.append, tree)
-    return found
-
-
 def put_parts(tree: Tree, where: Callable[[Tree], Sequence[Any]], new: Sequence[Any]) -> Tree:
     """The tree with some of its parts replaced, as `equinox.tree_at` does it: `where` picks them
     out of a tree of this structure, numbers, None or whole laws."""

@@ -8,25 +8,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from difffric.calibration.result import Fit
 from difffric.estimation import coordinates
 from difffric.identification.combination import combine
 from difffric.identification.estimates import NONE, Estimates, Identified, PushFriction
 from difffric.identification.free_slide import estimate_by_slides
 from difffric.identification.inversion import BRACKET
 from difffric.identification.resolved_pushes import Calibration, ResolvedPushes
-from difffric.identification.whole_recording import fit_recordings
 from difffric.measurements.checks import check_data
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
-from difffric.measurements.reduction.reduce import Reduction, reduce_recordings
 from difffric.progress import Tell, silent
 from difffric.rig.rig import Rig
 from difffric.rig.setup import Setup, check_rig
 from difffric.simulation.segments import Integrator
+
+if TYPE_CHECKING:
+    from difffric.calibration.result import Fit
+    from difffric.measurements.reduction.reduce import Reduction
 
 
 def identify(
@@ -60,6 +62,9 @@ def identify(
     reduction = None
     if isinstance(data, Recordings):
         data = check_data(data, known.rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
+        # Here, as a table needs neither this nor the fit of recordings, with which JAX comes.
+        from difffric.measurements.reduction.reduce import reduce_recordings
+
         tell("reducing the recordings", 0.0)
         reduction = reduce_recordings(data, skip_bad=skip_bad)
         pushes = reduction.pushes
@@ -110,6 +115,8 @@ def _add_recordings(
     answers: Sequence[PushFriction],
 ) -> Sequence[PushFriction]:
     """The answers with what all samples say."""
+    from difffric.identification.whole_recording import fit_recordings
+
     guess = np.array([x.mu_s_optimal.value or x.mu_s_force.value or np.nan for x in answers])
     rigs = [known.of(condition)[0] for condition in resolved.pushes.condition]
     found = fit_recordings(rigs, reduction, guess, resolved.models.integrator)

@@ -1,8 +1,8 @@
 """mu_s from one measured quantity: every root in a bracket, or the reason why there is none.
 
-Each crossing is solved by a bracketed Newton iteration on the exact derivative (optimistix), in
-log mu_s. Where the pusher stops at the first loss of contact both F_p and d are monotone in
-mu_s and one bracket is enough; with a stroke the model is scanned for the crossings first.
+Each crossing is solved by a bracketed Newton iteration on the exact derivative, in log mu_s. Where
+the pusher stops at the first loss of contact both F_p and d are monotone in mu_s and one bracket is
+enough; with a stroke the model is scanned for the crossings first.
 """
 
 from __future__ import annotations
@@ -10,16 +10,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from difffric.compute import pytrees
 from difffric.compute.event_root import HIT
-from difffric.compute.program_cache import cache_program
 from difffric.errors import InputError
+from difffric.identification.crossing import Crossing, find_crossings_in_columns
 from difffric.identification.push_models import PushModels, Quantity
 from difffric.rig.rig import Rig
 from difffric.simulation.segments import Integrator
@@ -86,7 +83,7 @@ def invert(
         raise InputError(
             f"invert: the rig's numbers must be one value or {n}, one a push"
         ) from error
-    models = PushModels(rigs, velocity.astype(float), integrator)
+    models = PushModels.of(rigs, velocity.astype(float), integrator)
     return invert_models(models, target.astype(float), quantity, bracket)
 
 
@@ -194,23 +191,31 @@ def _sort_distinct(roots: Sequence[Root]) -> list[Root]:
     return out
 
 
-@cache_program
-def _solve_batch(models: PushModels, target, by_force, bracket, rising):
-    from difffric.identification.crossing import (
-        find_crossing,  # here: a kept program needs no optimistix
-    )
-
-    def solve_one(rig, velocity, target, bracket, rising):
-        return find_crossing(rig, velocity, target, by_force, bracket, rising, models.integrator)
-
-    return jax.vmap(solve_one)(models.rigs, models.velocity, target, bracket, rising)
-
-
-def _solve_many(models: PushModels, target, bracket, rising, quantity: Quantity):
-    by_force = jnp.asarray(quantity == "peak_force")
+def _solve_many(
+    models: PushModels,
+    target: NDArray,
+    bracket: tuple[NDArray, NDArray],
+    rising: NDArray,
+    quantity: Quantity,
+) -> Crossing:
+    """The crossing of each push in its bracket."""
+    by_force = quantity == "peak_force"
+    if not models.compiled:
+        return find_crossings_in_columns(
+            models.rigs, models.velocity, target, by_force, bracket, rising
+        )
+    from difffric.identification.compiled_models import solve_batch
 
     def solve_chunk(models, target, bracket, rising):
-        return _solve_batch(models, target, by_force, bracket, rising)
+        return solve_batch(
+            models.rigs,
+            models.velocity,
+            models.integrator,
+            target,
+            np.asarray(by_force),
+            bracket,
+            rising,
+        )
 
     return models.call_in_chunks(solve_chunk, target, bracket, rising)
 

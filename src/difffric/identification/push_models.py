@@ -1,25 +1,26 @@
 """The model of each of many pushes as a function of mu_s: what every inversion asks.
 
-One compiled program serves all batches of pushes with rigs of one kind.
+NumPy answers for some thousand pushes in closed form at once, before JAX would be imported. All
+else is asked of compiled programs, one of which serves all batches of pushes with rigs of one kind.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import field
 from typing import Any, Literal, NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Int
 from numpy.typing import NDArray
 
-from difffric.compute.program_cache import cache_program
-from difffric.compute.pytrees import pick
+from difffric.compute.lanes import differentiate
+from difffric.compute.number_tree import NumberTree
+from difffric.compute.pytrees import list_leaves, map_tree, pick
+from difffric.estimation import coordinates
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
-from difffric.simulation.observables import Observables, observe
+from difffric.simulation.columns import observe_columns, serves
+from difffric.simulation.observables import Observables
 from difffric.simulation.segments import Integrator
 
 Quantity = Literal["peak_force", "sliding_distance"]
@@ -31,6 +32,8 @@ QUANTITIES: tuple[Quantity, ...] = ("peak_force", "sliding_distance")
 _CHUNK = 256
 """Pushes that a program takes at a time, so that one program serves all batches: a larger one
 would make few pushes wait for many."""
+_FEW = 4096
+"""So many pushes are inverted by NumPy sooner than a program is loaded for them."""
 
 
 class BothAt(NamedTuple):
@@ -44,7 +47,7 @@ class BothAt(NamedTuple):
     """a number that changes wherever a derivative may jump"""
 
 
-class PushModels(eqx.Module):
+class PushModels(NumberTree):
     """n pushes as functions of mu_s."""
 
     rigs: Rig
@@ -53,6 +56,22 @@ class PushModels(eqx.Module):
     """(n,) [m/s]"""
     integrator: Integrator | None = None
     """None: the one that suits the rig"""
+    compiled: bool = field(default=True, metadata={"static": True})
+    """whether compiled programs are asked, and not NumPy, which must serve the rigs"""
+
+    @classmethod
+    def of(
+        cls,
+        rigs: Rig,
+        velocity: NDArray,
+        integrator: Integrator | None = None,
+        compiled: bool | None = None,
+    ) -> PushModels:
+        """The models of n pushes. Unless it is said, compiled programs are asked for many pushes,
+        and where NumPy does not serve the rigs."""
+        if compiled is None:
+            compiled = len(velocity) > _FEW
+        return cls(rigs, velocity, integrator, compiled or not serves(rigs, integrator))
 
     def __len__(self) -> int:
         return len(self.velocity)
@@ -60,12 +79,18 @@ class PushModels(eqx.Module):
     def pick(self, index: NDArray) -> PushModels:
         """The models of some pushes, by an array of indices, which may repeat."""
         rigs, velocity = pick((self.rigs, self.velocity), index)
-        return PushModels(rigs, velocity, self.integrator)
+        return PushModels(rigs, velocity, self.integrator, self.compiled)
 
     def observe_at(self, mu_s: NDArray) -> BothAt:
         """F_p, d and their derivatives, each push at its own mu_s (n,)."""
+        if self.compiled:
+            from difffric.identification.compiled_models import observe_batch
 
-        return BothAt(*self.call_in_chunks(_observe_batch, mu_s))
+            def observe_chunk(some: PushModels, mu_s: NDArray) -> Any:
+                return observe_batch(some.rigs, some.velocity, some.integrator, mu_s)
+
+            return BothAt(*self.call_in_chunks(observe_chunk, mu_s))
+        return _observe_columns(self, mu_s)
 
     def call_in_chunks(self, function: Callable[..., Any], *arrays: Any) -> Any:
         """A compiled function of models and more trees of as many entries, called in chunks of a
@@ -74,8 +99,8 @@ class PushModels(eqx.Module):
         for start in range(0, n, _CHUNK):
             index = np.minimum(np.arange(start, start + _CHUNK), n - 1)
             found = function(self.pick(index), *pick(arrays, index))
-            parts.append(jax.tree.map(np.asarray, found))
-        return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:n], *parts)
+            parts.append(map_tree(np.asarray, found))
+        return map_tree(lambda *leaves: np.concatenate(leaves)[:n], *parts)
 
     def observe_rows(
         self, log_mu_s: NDArray, quantity: Quantity
@@ -95,7 +120,7 @@ class PushModels(eqx.Module):
     ) -> tuple[NDArray, NDArray, NDArray]:
         """`observe_rows` of the pushes `which` (m,) at rows of equally spaced log mu_s: once for
         all rows that are alike, as those of a rig that is pushed at a few speeds are."""
-        numbers = (np.asarray(x)[which] for x in (*jax.tree.leaves(self.rigs), self.velocity))
+        numbers = (np.asarray(x)[which] for x in (*list_leaves(self.rigs), self.velocity))
         code = np.zeros(len(which), int)
         for column in (*numbers, log_mu_s[:, 0], log_mu_s[:, -1]):
             values, own = np.unique(column, return_inverse=True)
@@ -106,34 +131,40 @@ class PushModels(eqx.Module):
         return found[0][again], found[1][again], found[2][again]
 
 
-def observe_at(
-    rig: Rig,
-    velocity: Float[ArrayLike, ""],
-    mu_s: Float[ArrayLike, ""],
-    integrator: Integrator | None = None,
-) -> Observables:
-    """What is measured of a push at `velocity` [m/s] if its mu_s were this one; traceable."""
-    return observe(parameters.with_values(rig, {"mu_s": mu_s}), velocity, integrator)
+def _observe_columns(models: PushModels, mu_s: NDArray) -> BothAt:
+    """What `PushModels.observe_at` gives, by NumPy."""
+
+    def observe_at(mu_s: Any) -> Observables:
+        return observe_columns(parameters.with_values(models.rigs, {"mu_s": mu_s}), models.velocity)
+
+    seen, by = differentiate(observe_at, mu_s, np.ones(()))
+    return BothAt(
+        (seen.peak_force, seen.sliding_distance), (by.peak_force, by.sliding_distance), seen.kind
+    )
 
 
-@cache_program
-def _observe_batch(
-    models: PushModels, mu_s: Float[Array, " n"]
-) -> tuple[
-    tuple[Float[Array, " n"], Float[Array, " n"]],
-    tuple[Float[Array, " n"], Float[Array, " n"]],
-    Int[Array, " n"],
-]:
-    """(F_p, d), their derivatives by mu_s, and the kind."""
+def differentiate_models(
+    models: PushModels, mu_s: NDArray, names: tuple[str, ...]
+) -> tuple[NDArray, NDArray]:
+    """The derivatives (n, 2, k) of F_p and d by the coordinates of `names`, and the regime (n,), of
+    each of n pushes at its own mu_s (n,)."""
+    if models.compiled:
+        from difffric.identification.compiled_models import differentiate_batch
 
-    def observe_one(rig, velocity, mu_s):
-        def read(value):
-            seen = observe_at(rig, velocity, value, models.integrator)
-            return (seen.peak_force, seen.sliding_distance), seen.kind
+        return differentiate_batch(models.rigs, models.velocity, models.integrator, mu_s, names)
+    values = parameters.values(models.rigs)
 
-        return jax.jvp(read, (mu_s,), (jnp.ones_like(mu_s),), has_aux=True)
+    def observe_shifted(shifts: list[Any]) -> Observables:
+        moved = {
+            name: coordinates.shift_value(name, values[name], shift)
+            for name, shift in zip(names, shifts, strict=True)
+        }
+        rigs = parameters.with_values(models.rigs, {**moved, "mu_s": mu_s})
+        return observe_columns(rigs, models.velocity)
 
-    return jax.vmap(observe_one)(models.rigs, models.velocity, mu_s)
+    along = [direction[:, None] for direction in np.eye(len(names))]
+    seen, by = differentiate(observe_shifted, [np.zeros(())] * len(names), along)
+    return np.stack([by.peak_force.T, by.sliding_distance.T], axis=1), seen.regime
 
 
 def compute_range_ratio(models: PushModels, mu_s: NDArray) -> float:

@@ -4,29 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.calibration.result import Fit
-from difffric.compute.xla_options import compile_soon
+from difffric.compute.pytrees import map_tree
 from difffric.estimation import coordinates
 from difffric.estimation.push_rigs import make_push_rigs
-from difffric.estimation.stacked_data import sensor_errors
 from difffric.identification.inversion import BRACKET, Inversion, choose_by_force, invert_models
-from difffric.identification.push_models import PushModels, compute_range_ratio
+from difffric.identification.push_models import (
+    PushModels,
+    compute_range_ratio,
+    differentiate_models,
+)
 from difffric.measurements.pushes import COLUMNS, Pushes
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
 from difffric.rig.setup import Setup
 from difffric.simulation.events import Regime
 from difffric.simulation.families import MU_S, SPEEDS_MM_MIN
-from difffric.simulation.observables import observe, regime_of
+from difffric.simulation.observables import regime_of
 from difffric.simulation.segments import Integrator, default_integrator
 from difffric.units import from_mm_min
+
+if TYPE_CHECKING:
+    from difffric.calibration.result import Fit
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,7 @@ class Calibration:
     @classmethod
     def read(cls, rig: Rig | Setup | Fit) -> Calibration:
         """From a fit its covariance, from a set-up its standard errors (without correlations)."""
-        if isinstance(rig, Fit):
+        if not isinstance(rig, Rig | Setup):
             fit = rig
             names = tuple(dict.fromkeys(n for n in fit.names if n != "mu_s"))
 
@@ -103,8 +106,10 @@ class ResolvedPushes:
         *,
         integrator: Integrator | None = None,
         range_ratio: float | None = None,
+        compiled: bool | None = None,
     ) -> ResolvedPushes:
-        """Look everything up. `range_ratio` is that of the paper's range unless given."""
+        """Look everything up. `range_ratio` is that of the paper's range unless given; `compiled`
+        as for `PushModels.of`."""
         conditions, which = np.unique(np.array(pushes.condition, object), return_inverse=True)
         found = [known.of(condition) for condition in conditions]
         roots = np.stack([root_of(covariance) for _, covariance in found])
@@ -112,12 +117,12 @@ class ResolvedPushes:
         if range_ratio is None:
             free = pushes.free_slides
             range_ratio = np.nan if free else _find_range_ratio(known, integrator)
-        sensors = sensor_errors(known.rig)
+        sensors = known.rig.sensor_errors
         fallback = [s if np.isnan(f) else f for f, s in zip(known.spreads, sensors, strict=True)]
         rigs = _spread([rig for rig, _ in found], which, pushes)
         return cls(
             pushes,
-            PushModels(rigs, pushes.velocity, integrator),
+            PushModels.of(rigs, pushes.velocity, integrator, compiled),
             known.names,
             roots[which],
             fill_errors(pushes, fallback),
@@ -155,12 +160,12 @@ class ResolvedPushes:
             name: np.concatenate([getattr(x.pushes, name) for x in parts]) for name in COLUMNS
         }
         # NumPy's arrays: JAX's take a hundred times as long to index.
-        rigs = [jax.tree.map(np.asarray, x.models.rigs) for x in parts]
-        rigs = jax.tree.map(lambda *leaves: np.concatenate(leaves), *rigs)
+        rigs = [map_tree(np.asarray, x.models.rigs) for x in parts]
+        rigs = map_tree(lambda *leaves: np.concatenate(leaves), *rigs)
         pushes, first = Pushes(**columns), parts[0]
         return cls(
             pushes,
-            PushModels(rigs, pushes.velocity, first.models.integrator),
+            PushModels(rigs, pushes.velocity, first.models.integrator, first.models.compiled),
             first.names,
             *map(join_columns, ("roots", "errors", "sensor_errors", "range_ratio")),
         )
@@ -189,9 +194,7 @@ class ResolvedPushes:
         points = np.where(np.isfinite(points) & (points > 0), points, 0.1).ravel()
         models = self.models.pick(np.repeat(np.arange(n), 3))
         if self.names:
-            _, gradient, regime = _differentiate(
-                models.rigs, models.velocity, points, self.names, models.integrator
-            )
+            gradient, regime = differentiate_models(models, points, self.names)
         else:  # the program that has looked for the roots serves again
             gradient, regime = np.empty(0), regime_of(models.observe_at(points).kind)
         gradient = np.asarray(gradient).reshape(n, 3, 2, k)
@@ -217,7 +220,7 @@ def _find_range_ratio(known: Calibration, integrator: Integrator | None) -> floa
     """Equation (7)'s ratio of the ranges [N/m] over the paper's speeds and mu_s."""
     v, mu_s = (x.ravel() for x in np.meshgrid(from_mm_min(SPEEDS_MM_MIN), MU_S, indexing="ij"))
     rigs = _spread([known.rig], np.zeros(len(v), int), Pushes(velocity=v))
-    return compute_range_ratio(PushModels(rigs, v, integrator), mu_s)
+    return compute_range_ratio(PushModels.of(rigs, v, integrator), mu_s)
 
 
 def _spread(rigs: Sequence[Rig], which: NDArray, pushes: Pushes) -> Rig:
@@ -226,26 +229,4 @@ def _spread(rigs: Sequence[Rig], which: NDArray, pushes: Pushes) -> Rig:
         return make_push_rigs(rigs[0], pushes)
     every = [make_push_rigs(rig, pushes) for rig in rigs]
     here = np.arange(len(pushes))
-    return jax.tree.map(lambda *leaves: np.stack(leaves)[which, here], *every)
-
-
-@compile_soon
-def _differentiate(rigs, velocity, mu_s, names: tuple[str, ...], integrator):
-    """(F_p, d), their derivatives by the coordinates of `names`, and the regime, at each mu_s."""
-
-    def differentiate_one(rig, velocity, mu_s):
-        def read(shift):
-            values = parameters.values(rig)
-            new = {
-                name: coordinates.shift_value(name, values[name], shift[i])
-                for i, name in enumerate(names)
-            }
-            rig_at = parameters.with_values(rig, {**new, "mu_s": mu_s})
-            seen = observe(rig_at, velocity, integrator)
-            both = jnp.stack([seen.peak_force, seen.sliding_distance])
-            return both, (both, seen.regime)
-
-        gradient, (both, regime) = jax.jacfwd(read, has_aux=True)(jnp.zeros(len(names)))
-        return both, gradient, regime
-
-    return jax.vmap(differentiate_one)(rigs, velocity, mu_s)
+    return map_tree(lambda *leaves: np.stack(leaves)[which, here], *every)

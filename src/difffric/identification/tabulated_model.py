@@ -15,9 +15,10 @@ from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
 from difffric.compute.xla_options import compile_soon
+from difffric.identification.compiled_models import observe_at
 from difffric.identification.crossing import find_crossing
 from difffric.identification.inversion import BRACKET, Inversion, Root, judge_roots
-from difffric.identification.push_models import QUANTITIES, Quantity, observe_at
+from difffric.identification.push_models import QUANTITIES, Quantity
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
 from difffric.simulation.batch import observe_batch

@@ -190,4 +190,6 @@ def with_coefficients(rig: Rig, new: dict[str, Any]) -> Rig:
 def basis(form: str, scales: Scales, x: np.ndarray) -> np.ndarray:
     """(len(x), SPLINES): the curve at x is this times its coefficients."""
     curves = [Curve(row, *FORMS[form].over(scales)) for row in np.eye(SPLINES)]
-    return np.stack([g(np.asarray(x)) for g in curves], axis=1)
+    at: Any = np.asarray(x)
+    rows = [np.asarray(g(at)) for g in curves]
+    return np.stack(rows, axis=1)

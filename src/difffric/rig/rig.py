@@ -50,6 +50,18 @@ class Rig(NumberTree):
         return laws and not sensors
 
     @property
+    def sensor_errors(self) -> tuple[float | None, float | None]:
+        """Standard errors of F_p [N] and d [m] that the sensors alone explain.
+
+        d is the difference of two readings, each with its noise and its quantum. None where a
+        sensor's noise is not known.
+        """
+        F, probe = self.force_sensor.noise, self.probe
+        if probe.noise is None:
+            return F, None
+        return F, float((2 * (probe.noise**2 + probe.resolution**2 / 12)) ** 0.5)
+
+    @property
     def all_laws(self) -> list[Any]:
         """Every law of it, those within others too."""
         laws: list[Any] = [self.friction, self.contact, self.pusher, self.force_sensor, self.probe]

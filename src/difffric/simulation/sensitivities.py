@@ -1,28 +1,32 @@
 """Exact derivatives of F_p and d in every parameter, and how far the next regime is.
 
 A rig's numbers are read once, in the order of `parameters.names` with the speed behind them, and
-put back once, in the compiled program. What else goes in is a direction: how fast each of them
-changes.
+put back once. What else goes in is a direction: how fast each of them changes. NumPy follows the
+push where it can (`columns`), along all directions at once; else a compiled program does.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from functools import cache
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
-from jaxtyping import Array, ArrayLike, Float, Int
+from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from difffric.compute import pytrees
-from difffric.compute.program_cache import cache_program
+from difffric.compute.lanes import differentiate
+from difffric.compute.number_tree import is_traced
+from difffric.errors import InputError
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
+from difffric.simulation.columns import observe_columns, serves
 from difffric.simulation.observables import Observables, observe
 from difffric.simulation.segments import Integrator
+
+if TYPE_CHECKING:
+    from jaxtyping import Array, ArrayLike
 
 VELOCITY = "velocity_m_per_s"
 """The name of the pusher's speed among the parameters of derivatives."""
@@ -35,7 +39,7 @@ _ROUNDS = 5
 _NEAREST, _FURTHEST = 1e-8, (0.999, 9.0)
 """Relative changes of mu_s, down and up, between which the next regime is looked for."""
 
-Numbers = tuple[Array, ...]
+Numbers: TypeAlias = "tuple[Array, ...]"
 """A rig's parameters in the order of their names, then the speed [SI]; or how fast each changes."""
 
 
@@ -53,35 +57,67 @@ def sensitivity(
     """F_p, d and their exact derivatives by forward mode, of one push at `velocity` [m/s].
     Traceable.
 
-    NaN stands where d does not exist.
+    NaN stands where d does not exist. Raises `InputError` for more than one push.
     """
-    names, at = _read_numbers(rig, velocity)
-    directions = [_point_along(at, k) for k in range(len(names))]
-    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((rig, velocity))):
-        stacked = jax.tree.map(lambda *d: jnp.stack(d), *directions)
-        follow = jax.vmap(lambda d: _differentiate(rig, at, d, integrator))
-        dF, dd, seen = follow(stacked)
-        seen = jax.tree.map(lambda leaf: leaf[0], seen)
-        return Sensitivity(seen, _name(names, dF), _name(names, dd))
+    values = {**parameters.values(rig), VELOCITY: velocity}
+    names, numbers = tuple(values), tuple(values.values())
+    if any(is_traced(leaf) for leaf in pytrees.list_leaves((rig, velocity))):
+        return _trace_sensitivity(rig, names, numbers, integrator)
+    for name, x in values.items():
+        if np.ndim(x):
+            raise InputError(f"sensitivity: {name}: expected one number, got {np.shape(x)}")
+    if serves(rig, integrator):
+        return _differentiate_column(rig, names, numbers)
+    import jax.numpy as jnp
+
     # One small program, called for each parameter: it compiles and loads in less time.
-    rig = pytrees.as_arrays(rig)
-    found = [_differentiate_compiled(rig, at, d, integrator) for d in directions]
-    dF, dd, seen = zip(*found, strict=True)
+    at = tuple(jnp.asarray(x, float) for x in numbers)
+    directions = [_point_along(at, k) for k in range(len(names))]
+    rig, program = pytrees.as_arrays(rig), _compiled()
+    dF, dd, seen = zip(*(program(rig, at, d, integrator) for d in directions), strict=True)
     return Sensitivity(seen[-1], _name(names, dF), _name(names, dd))
 
 
-def _read_numbers(rig: Rig, velocity: Float[ArrayLike, ""]) -> tuple[tuple[str, ...], Numbers]:
-    """The names of what derivatives are taken by, and their values."""
-    values = {**parameters.values(rig), VELOCITY: velocity}
-    return tuple(values), tuple(jnp.asarray(value, float) for value in values.values())
+def _differentiate_column(rig: Rig, names: tuple[str, ...], numbers: Numbers) -> Sensitivity:
+    """The sensitivity of one push, by NumPy."""
+    put = parameters.setter(rig, parameters.names(rig))
+
+    def measure(at: tuple) -> Observables:
+        *own, velocity = at
+        return observe_columns(put(*own), velocity)
+
+    along = tuple(direction[:, None] for direction in np.eye(len(numbers)))
+    seen, by = differentiate(measure, numbers, along)
+    exists = np.isfinite(seen.sliding_distance)
+    dd = np.where(exists, by.sliding_distance, np.nan)
+    one = pytrees.map_tree(lambda column: column[0], seen)
+    return Sensitivity(one, _name(names, by.peak_force[:, 0]), _name(names, dd[:, 0]))
+
+
+def _trace_sensitivity(
+    rig: Rig, names: tuple[str, ...], numbers: Numbers, integrator: Integrator | None
+) -> Sensitivity:
+    """The sensitivity of one push, while JAX traces it."""
+    import jax
+    import jax.numpy as jnp
+
+    at = tuple(jnp.asarray(x, float) for x in numbers)
+    directions = [_point_along(at, k) for k in range(len(names))]
+    stacked = jax.tree.map(lambda *d: jnp.stack(d), *directions)
+    follow = jax.vmap(lambda d: _differentiate(rig, at, d, integrator))
+    dF, dd, seen = follow(stacked)
+    seen = jax.tree.map(lambda leaf: leaf[0], seen)
+    return Sensitivity(seen, _name(names, dF), _name(names, dd))
 
 
 def _point_along(at: Numbers, k: int) -> Numbers:
     """The direction in which the k-th number alone changes."""
+    import jax.numpy as jnp
+
     return tuple(jnp.ones_like(x) if i == k else jnp.zeros_like(x) for i, x in enumerate(at))
 
 
-def _name(names: Sequence[str], column: Sequence[Array] | Array) -> dict[str, Array]:
+def _name(names: Sequence[str], column: Any) -> dict[str, Array]:
     return {name: column[k] for k, name in enumerate(names)}
 
 
@@ -90,6 +126,9 @@ def _differentiate(
 ) -> tuple[Array, Array, Observables]:
     """Derivatives of F_p and d along a direction of the numbers, and the observables, of the push
     of a rig with the numbers `at` in place of its own."""
+    import jax
+    import jax.numpy as jnp
+
     put = parameters.setter(rig, parameters.names(rig))
 
     def measure(at):
@@ -101,7 +140,12 @@ def _differentiate(
     return dF, jnp.where(jnp.isnan(seen.sliding_distance), jnp.nan, dd), seen
 
 
-_differentiate_compiled = cache_program(_differentiate)
+@cache
+def _compiled() -> Any:
+    """The compiled `_differentiate`; JAX comes with it."""
+    from difffric.compute.program_cache import cache_program
+
+    return cache_program(_differentiate)
 
 
 class Margin(NamedTuple):
@@ -147,14 +191,25 @@ def regime_margin(
 def _kinds_by_mu_s(
     rig: Rig, velocity: Float[ArrayLike, ""], integrator: Integrator | None
 ) -> Callable[[NDArray], Int[NDArray, " n"]]:
-    """The function that gives the kind of push at each of some mu_s, by the program that gives the
-    derivatives: a second one would take seconds to compile."""
-    names, at = _read_numbers(rig, velocity)
-    rig, place = pytrees.as_arrays(rig), names.index("mu_s")
+    """The function that gives the kind of push at each of some mu_s."""
+    if serves(rig, integrator):
+
+        def kinds(mu_s: NDArray) -> NDArray:
+            at = parameters.with_values(rig, {"mu_s": mu_s})
+            return np.asarray(observe_columns(at, velocity).kind)
+
+        return kinds
+    import jax.numpy as jnp
+
+    # By the program that gives the derivatives: a second one would take seconds to compile.
+    names = parameters.names(rig)
+    values = {**parameters.values(rig), VELOCITY: velocity}
+    at = tuple(jnp.asarray(x, float) for x in values.values())
+    rig, place, program = pytrees.as_arrays(rig), names.index("mu_s"), _compiled()
     nowhere = tuple(jnp.zeros_like(x) for x in at)
 
-    def kind(mu_s):
+    def kind(mu_s: float) -> int:
         there = (*at[:place], jnp.asarray(mu_s), *at[place + 1 :])
-        return _differentiate_compiled(rig, there, nowhere, integrator)[2].kind
+        return int(program(rig, there, nowhere, integrator)[2].kind)
 
-    return lambda mu_s: np.array([int(k) for k in [kind(value) for value in mu_s]])
+    return lambda mu_s: np.array([kind(value) for value in mu_s])
