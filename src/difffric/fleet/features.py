@@ -1,8 +1,8 @@
 """The features of a fleet's recordings (F_p, d, noise: what needs no model), kept on disk in parts.
 
-A part holds the pushes of some files, and with each the key of its file: what the file, its rig's
-sensors and this library were when it was read. A part appears whole or not at all, so that a run
-that was killed goes on with the files that no part has.
+A part holds the pushes of some files, or why a file holds none, and with each the key of its file:
+what the file, its rig's sensors and this library were when it was read. A part appears whole or
+not at all, so that a run that was killed goes on with the files that no part has.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from difffric.measurements.recordings import Recordings
 from difffric.measurements.reduction.reduce import reduce_recordings
 from difffric.rig.rig import Rig
 
-LAYOUT = 1
+LAYOUT = 2
 """Version of the parts' and the data set's layout: what has another one is made anew."""
 MADE_WITH = f"difffric {version('difffric')}, layout {LAYOUT}"
 _NUMBERS = tuple(name for name in COLUMNS if name != "condition")
@@ -46,9 +46,10 @@ SCHEMA = {
     "missing": pl.String,
     "key": pl.String,
     "skipped": pl.List(pl.String),
+    "refused": pl.String,
 }
 """Columns of a part. Each push has a row, in the order of its file; what was `skipped` of a file
-stands with its first push."""
+stands with its first push. A file that cannot be used has one row, with the reason in `refused`."""
 
 
 @dataclass(frozen=True)
@@ -81,19 +82,37 @@ def make_key(source: ArchiveFile, rig: Rig, use_data_mass: bool) -> str:
 def extract(task: ReadTask) -> list[tuple[str, str]]:
     """Read the files of a task into its part; return (file, reason) of each that cannot be used.
 
-    Whatever goes wrong with one file does not keep the others from being read.
+    Whatever goes wrong with one file does not keep the others from being read. What is refused for
+    what it holds goes into the part with its reason, and need not be read again.
     """
     tables, bad = [], []
     for source, rig in zip(task.sources, task.rigs, strict=True):
         try:
             tables.append(read_features(source, rig, task.use_data_mass))
         except InputError as error:
-            bad.append((source.name, _strip_folder(str(error), source)))
+            reason = _strip_folder(str(error), source)
+            bad.append((source.name, reason))
+            if _comes_of_content(error):
+                key = make_key(source, rig, task.use_data_mass)
+                row = {"file": [source.name], "push": [0], "key": [key], "refused": [reason]}
+                row |= {name: [None] for name in SCHEMA if name not in row}
+                tables.append(pl.DataFrame(row, schema=SCHEMA).select(*SCHEMA))
         except Exception as error:
             bad.append((source.name, f"{type(error).__name__}: {error}"))
     if tables:
         write_whole(Path(task.folder, f"{task.name}.parquet"), pl.concat(tables).write_parquet)
     return bad
+
+
+def _comes_of_content(error: BaseException) -> bool:
+    """Whether a file was refused for what it holds, and would be again; what a disk could not read
+    it may read another time."""
+    seen: BaseException | None = error
+    while seen is not None:
+        if isinstance(seen, OSError):
+            return False
+        seen = seen.__cause__ or seen.__context__
+    return True
 
 
 def read_features(source: ArchiveFile, rig: Rig, use_data_mass: bool = False) -> pl.DataFrame:
@@ -135,6 +154,7 @@ def read_features(source: ArchiveFile, rig: Rig, use_data_mass: bool = False) ->
         "missing": [one.reason or None for one in details] or [None] * n,
         "key": [make_key(source, rig, use_data_mass)] * n,
         "skipped": [skipped, *[[]] * (n - 1)],
+        "refused": [None] * n,
     }
     return pl.DataFrame(table, schema=SCHEMA).with_columns(pl.col(pl.Float64).fill_nan(None))
 
@@ -146,8 +166,8 @@ def to_pushes(table: pl.DataFrame) -> Pushes:
 
 
 def load_kept(folder: Path, keys: Sequence[str]) -> pl.DataFrame:
-    """Return the pushes of all files whose keys are asked for, as far as the parts in a folder have
-    them, sorted by file and push.
+    """Return the pushes, or the refusal, of all files whose keys are asked for, as far as the parts
+    in a folder have them, sorted by file and push.
 
     A part that has none of them any more is removed, and so is one that cannot be read.
     """

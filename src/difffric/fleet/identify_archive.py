@@ -161,7 +161,7 @@ def _read_features(
     """Run the first stage on all files that no part has yet.
 
     Returns the features of all files that can be used, how many files were read in this run, and
-    file -> reason of those that cannot be used.
+    file -> reason of those that cannot be used, those among them that earlier runs refused.
     """
     rigs = {s.name: setups[s.rig][0].rig for s in sources}
     keys = {features.make_key(s, rigs[s.name], use_data_mass): s for s in sources}
@@ -188,7 +188,10 @@ def _read_features(
             tell(f"reading recordings, {done} of {len(new)}", 0.7 * done / len(new))
         waiting = alone
     features.remove_unfinished(parts)
-    return features.load_kept(parts, list(keys)), len(new), bad
+    kept = features.load_kept(parts, list(keys))
+    refused = kept.filter(pl.col("refused").is_not_null()).select("file", "refused")
+    pushes = kept.filter(pl.col("refused").is_null())
+    return pushes, len(new), bad | dict(refused.iter_rows())
 
 
 def _share_out(sources: Sequence[ArchiveFile]) -> Iterator[list[ArchiveFile]]:
@@ -235,7 +238,7 @@ def _identify_all(table, rig_of, setups, out: Path, run: Runner, tell: Tell) -> 
             for i, piece in enumerate(pieces):
                 path = folder / f"part-{i:04d}.parquet"
                 expected.add(path)
-                piece = piece.drop("key", "skipped")
+                piece = piece.drop("key", "skipped", "refused")
                 key = _make_key(piece, digest)
                 if _read_key(path) != key:
                     yield _Part(str(path), key, str(rig), setup, piece)

@@ -16,7 +16,7 @@ import pytest
 from nptdms import TdmsFile, TdmsWriter
 
 import difffric as df
-from difffric.fleet import identify_archive, workers
+from difffric.fleet import features, identify_archive, workers
 from difffric.fleet.archive import find_files
 from difffric.fleet.columns import identify_columns
 from difffric.fleet.identify_archive import data_set, identify_fleet
@@ -251,23 +251,44 @@ def test_a_second_run_does_only_what_is_missing_or_has_changed(archive, tmp_path
         shutil.rmtree(tmp_path / "anew")
         return found.fresh_files, found.fresh_parts
 
-    assert run() == (9, 2)  # eight good files and the bad one, which every run tries again
-    assert run() == (1, 0)
+    assert run() == (9, 2)
+    assert run() == (0, 0)  # the bad one is known to be bad, too
     write(archive / "hall/a/day1/pushes.tdms", RIGS["hall/a"], 99, n=1)
-    assert run() == (2, 1)
+    assert run() == (1, 1)
     stiffer = replace(RIGS["hall/b"], k=1e6)
     files.write_setup(archive / "hall/b/setup.toml", stiffer)
-    assert run() == (1, 1)  # its recordings need not be read again
+    assert run() == (0, 1)  # its recordings need not be read again
     heavier = replace(stiffer, m=9.02)
     files.write_setup(archive / "hall/b/setup.toml", heavier)
     assert run() == (5, 1)  # here they are held against another mass
     shutil.rmtree(archive / "hall/a")
-    assert run() == (1, 0)
+    assert run() == (0, 0)
     assert set(data_set(out).collect()["rig"]) == {"hall/b"}
+    (archive / "hall/b/broken.tdms").write_bytes(b"still none")
+    assert run() == (1, 0)
     next(out.glob("pushes/*/*/*.parquet")).write_bytes(b"torn")
-    next((out / ".fleet").glob("*.parquet")).write_bytes(b"torn")
+    most = max((out / ".fleet").glob("*.parquet"), key=os.path.getsize)
+    most.write_bytes(b"torn")
     files_read, parts_made = run()
     assert files_read > 1 and parts_made == 1
+
+
+def test_what_a_disk_could_not_read_is_tried_again(archive, tmp_path, monkeypatch):
+    """A refusal for the file's content is kept, one for the disk's state is not."""
+    asked, load = [], features.load
+
+    def fail_once(path, **how):
+        asked.append(Path(path).name)
+        if len(asked) == 1:
+            raise OSError(5, "Input/output error", path)
+        return load(path, **how)
+
+    monkeypatch.setattr(features, "load", fail_once)
+    first = identify_fleet(archive, tmp_path / "out")
+    assert any("Input/output error" in why for _, _, why in first.bad) and len(first.bad) == 2
+    second = identify_fleet(archive, tmp_path / "out")
+    assert len(asked) == 10 and asked[-1] == asked[0]
+    assert second.bad == tuple(x for x in first.bad if "not a TDMS file" in x[2])
 
 
 def test_a_file_belongs_to_the_nearest_setup_upwards(tmp_path):
