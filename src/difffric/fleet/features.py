@@ -85,22 +85,27 @@ def extract(task: ReadTask) -> list[tuple[str, str]]:
     Whatever goes wrong with one file does not keep the others from being read. What is refused for
     what it holds goes into the part with its reason, and need not be read again.
     """
-    tables, bad = [], []
+    columns: dict[str, list[Any]] = {name: [] for name in SCHEMA}
+    bad = []
     for source, rig in zip(task.sources, task.rigs, strict=True):
         try:
-            tables.append(read_features(source, rig, task.use_data_mass))
+            found = read_features(source, rig, task.use_data_mass)
         except InputError as error:
             reason = _strip_folder(str(error), source)
             bad.append((source.name, reason))
-            if _comes_of_content(error):
-                key = make_key(source, rig, task.use_data_mass)
-                row = {"file": [source.name], "push": [0], "key": [key], "refused": [reason]}
-                row |= {name: [None] for name in SCHEMA if name not in row}
-                tables.append(pl.DataFrame(row, schema=SCHEMA).select(*SCHEMA))
+            if not _comes_of_content(error):
+                continue
+            key = make_key(source, rig, task.use_data_mass)
+            found = {"file": [source.name], "push": [0], "key": [key], "refused": [reason]}
         except Exception as error:
             bad.append((source.name, f"{type(error).__name__}: {error}"))
-    if tables:
-        write_whole(Path(task.folder, f"{task.name}.parquet"), pl.concat(tables).write_parquet)
+            continue
+        for name, column in columns.items():
+            column.extend(found.get(name, [None]))
+    if columns["file"]:
+        # One table for all files, as to make one takes longer than to fill it.
+        table = pl.DataFrame(columns, schema=SCHEMA).with_columns(pl.col(pl.Float64).fill_nan(None))
+        write_whole(Path(task.folder, f"{task.name}.parquet"), table.write_parquet)
     return bad
 
 
@@ -115,8 +120,10 @@ def _comes_of_content(error: BaseException) -> bool:
     return True
 
 
-def read_features(source: ArchiveFile, rig: Rig, use_data_mass: bool = False) -> pl.DataFrame:
-    """Return a file's pushes as a table of the columns `SCHEMA`, in SI units.
+def read_features(
+    source: ArchiveFile, rig: Rig, use_data_mass: bool = False
+) -> dict[str, list[Any]]:
+    """Return a file's pushes as columns, those of `SCHEMA`, in SI units; NaN: not to be had.
 
     Raises `InputError` where none of them can be used.
     """
@@ -135,28 +142,22 @@ def read_features(source: ArchiveFile, rig: Rig, use_data_mass: bool = False) ->
         raise InputError(f"{source.path}: cannot be read: {error.strerror}") from None
     n = len(pushes)
     skipped = [_strip_folder(line, source) for line in pushes.skipped]
-    columns = {name: getattr(pushes, name) for name in _NUMBERS}
-    noise = {
-        f"noise_{which}": [
-            None if (x := getattr(one, f"noise_{which}")) is None else x.level for one in details
-        ]
-        or [None] * n
-        for which in ("force", "position")
-    }
-    table = {
+    columns = {name: getattr(pushes, name).tolist() for name in _NUMBERS}
+    for which in ("force", "position"):
+        noises = [getattr(one, f"noise_{which}") for one in details] or [None] * n
+        columns[f"noise_{which}"] = [None if x is None else x.level for x in noises]
+    return {
         "file": [source.name] * n,
-        "push": np.arange(n),
+        "push": list(range(n)),
         "name": names,
         "date": days,
         "condition": list(pushes.condition),
         **columns,
-        **noise,
         "missing": [one.reason or None for one in details] or [None] * n,
         "key": [make_key(source, rig, use_data_mass)] * n,
         "skipped": [skipped, *[[]] * (n - 1)],
         "refused": [None] * n,
     }
-    return pl.DataFrame(table, schema=SCHEMA).with_columns(pl.col(pl.Float64).fill_nan(None))
 
 
 def to_pushes(table: pl.DataFrame) -> Pushes:

@@ -63,6 +63,8 @@ def start_workers(n: int = 1, scheduler: str | None = None) -> Iterator[Runner]:
     dask.config.set({"distributed.scheduler.allowed-failures": ALLOWED_FAILURES})
     dask.config.set({"distributed.admin.large-graph-warning-threshold": "1GB"})
     dask.config.set({"logging.distributed": "critical"})
+    # It would stop the work a hundred times a second to note where it is.
+    dask.config.set({"distributed.worker.profile.enabled": False})
     cluster = None
     try:
         if scheduler is None:
