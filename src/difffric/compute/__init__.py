@@ -8,8 +8,8 @@ Written once, run by either
   `lanes` are its loops and choices: a lane is one of the cases that go through it together.
 
 Compiling
-: `program_cache.cache_program` compiles a function and keeps its programs on disk, in folders that
-  `private_folder` guards. `xla_options.compile_soon` is the same for a large program that runs
+: `program_cache.cache_program` compiles a function and keeps its programs on disk, in the store
+  of `programs`. `xla_options.compile_soon` is the same for a large program that runs
   seldom; `xla_options.in_one_piece` makes one native function of a computation of many small loops.
   `precision.require_float64` refuses 32 bits.
 
@@ -17,7 +17,8 @@ Roots and minima
 : `event_root.find_falling_root` for the time of an event, with exact derivatives of every order.
   `bracketed_newton.BracketedNewton` as a root finder of optimistix, where no derivative is needed.
   `hermite` for the first root of a guard known at both ends of a step.
-  `levenberg_marquardt` for a fit of many pushes.
+  `levenberg_marquardt` for a fit of many pushes within a compiled program, `arrow_jacobian` for one
+  whose model alone is compiled.
 
 Numbers
 : `smooth_extension` continues a law beyond the place where it begins; `pytrees` treats a tree of

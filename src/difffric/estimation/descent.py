@@ -21,9 +21,9 @@ from difffric.estimation.mixed_model import (
     End,
     FitPoint,
     Problem,
-    minimise,
+    minimise_recordings,
+    minimise_table,
     respond,
-    respond_soon,
     spread_coordinates,
 )
 from difffric.estimation.restricted_likelihood import Components, LinearModel, linearise
@@ -148,10 +148,10 @@ def descend(
 ) -> End:
     """The conditional mode near a point, for these weights (n, rows) and this scatter, with the
     parameters `held` (P,) where they are, after `steps` steps at most."""
-    # Whole recordings run for longer than they compile.
-    run = respond if data.kind == RECORDINGS else respond_soon
     problem, start = _pose_descent(model, data, at, held, weights, scatter, trust)
-    return minimise(problem, start, steps, run)
+    if data.kind == RECORDINGS:
+        return minimise_recordings(problem, start, steps)
+    return minimise_table(problem, start, np.asarray(steps))
 
 
 def prepare_descent(model: Model, data: FitData, at: Settled) -> None:
@@ -171,7 +171,7 @@ def _pose_descent(
     scatter: float,
     trust: float,
 ) -> tuple[Problem, FitPoint]:
-    """What `minimise` takes: the problem, and where it starts."""
+    """What a search of `mixed_model` takes: the problem, and where it starts."""
     problem = pose_problem(model, data, held, at.theta, scatter, weights, trust)
     theta = np.zeros(problem.prior.shape[0])
     theta[: len(at.theta)] = np.where(held, 0.0, at.theta)

@@ -1,9 +1,13 @@
-"""The mode of a mixed model: parameters that pushes share, and a mu_s of each push, in JAX.
+"""The mode of a mixed model: parameters that pushes share, and a mu_s of each push.
 
 log mu_s of push i is its shared value plus s eta_i with eta_i ~ N(0, 1): s is the scatter. The
-conditional mode of all (theta, eta) is a penalised least-squares problem (`minimise`); the
-variances are those of the linear mixed model about that mode (`restricted_likelihood`). A fit
-alternates the two (`mixed_fit`): Lindstrom and Bates, Biometrics 46 (1990).
+conditional mode of all (theta, eta) is a penalised least-squares problem; the variances are those
+of the linear mixed model about that mode (`restricted_likelihood`). A fit alternates the two
+(`mixed_fit`): Lindstrom and Bates, Biometrics 46 (1990).
+
+A table's pushes cost less to follow than a call: its whole search is one program
+(`minimise_table`). To follow whole recordings costs milliseconds, so that only that is compiled,
+and NumPy takes the steps (`minimise_recordings`).
 """
 
 from __future__ import annotations
@@ -14,8 +18,11 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
+from numpy.typing import NDArray
 
+from difffric.compute.arrow_jacobian import ArrowJacobian, Evaluation, search_minimum
 from difffric.compute.program_cache import cache_program
 from difffric.compute.xla_options import compile_soon
 
@@ -75,23 +82,20 @@ class End(NamedTuple):
     steps: Array
 
 
-def spread_coordinates(problem: Problem, point: FitPoint) -> Float[jax.Array, "pushes coordinates"]:
+def spread_coordinates(problem: Problem, point: FitPoint) -> Float[Array, "pushes coordinates"]:
     """Each push's coordinates at a point. mu_s is the first, the start offset the last."""
+    unit = np.eye(problem.fixed.shape[1])
     c = problem.fixed + problem.selection @ point.theta
-    c = c.at[:, 0].add(problem.scatter * point.eta)
-    if point.start.size:
-        c = c.at[:, -1].add(problem.starts * point.start)
-    return c
+    c = c + (problem.scatter * point.eta)[:, None] * unit[0]
+    return c + (problem.starts * point.start)[:, None] * unit[-1]
 
 
-@cache_program
-def _respond(problem: Problem, point: FitPoint) -> Any:
-    """What every push answers at a point: `residuals.Rows`, stacked."""
+def _respond(rig: Any, integrator: Any, pushes: Any, c: Float[Array, "pushes coordinates"]) -> Any:
+    """What every push answers at its coordinates: `residuals.Rows`, stacked."""
+    return jax.vmap(lambda push, at: push.respond(rig, integrator, at))(pushes, c)
 
-    def one(push, c):
-        return push.respond(problem.rig, problem.integrator, c)
 
-    return jax.vmap(one)(problem.pushes, spread_coordinates(problem, point))
+respond = cache_program(_respond)
 
 
 def _compute_residuals(problem: Problem, point: FitPoint, respond: Callable[..., Any]) -> Any:
@@ -124,17 +128,22 @@ def _join_residuals(problem: Problem, point: FitPoint, rows: Array) -> Any:
     return jax.tree.map(lambda part: problem.trust * part, parts)
 
 
-def _minimise(problem: Problem, start: FitPoint, steps: Array) -> End:
+@compile_soon
+def minimise_table(problem: Problem, start: FitPoint, steps: Array) -> End:
     """The conditional mode near `start`, by optimistix's Levenberg-Marquardt, after `steps`
     steps at most."""
     import optimistix as optx  # here, as a kept program needs none of it
 
     from difffric.compute.levenberg_marquardt import LevenbergMarquardt
 
+    def respond_at(point: FitPoint) -> Any:
+        c = spread_coordinates(problem, point)
+        return _respond(problem.rig, problem.integrator, problem.pushes, c)
+
     # Traced once for all the places in which the solver calls it.
-    respond = eqx.filter_closure_convert(lambda point: _respond(problem, point), start)
+    respond_once = eqx.filter_closure_convert(respond_at, start)
     solution = optx.least_squares(
-        lambda point, _: _compute_residuals(problem, point, respond),
+        lambda point, _: _compute_residuals(problem, point, respond_once),
         LevenbergMarquardt(),
         start,
         args=steps,
@@ -148,5 +157,41 @@ def _minimise(problem: Problem, start: FitPoint, steps: Array) -> End:
     return End(point, rows, model, jumps, chi2, solution.stats["num_steps"])
 
 
-minimise = cache_program(_minimise)
-minimise_soon = compile_soon(_minimise)
+def minimise_recordings(problem: Problem, start: FitPoint, steps: int) -> End:
+    """The conditional mode near `start`, after `steps` steps at most, by the same method with its
+    steps taken outside the compiled program."""
+    n, P = problem.fixed.shape[0], problem.prior.shape[0]
+
+    def unpack(x: NDArray) -> FitPoint:
+        return FitPoint(x[:P], *x[P:].reshape(2, n))
+
+    def evaluate(x: NDArray) -> Evaluation:
+        point = unpack(x)
+        given = problem.rig, problem.integrator, problem.pushes
+        found = respond(*given, spread_coordinates(problem, point))
+        rows, model, jumps = map(np.asarray, found)
+        return Evaluation(*_weigh(problem, point, rows), (rows, model, jumps))
+
+    x, found, steps = search_minimum(evaluate, np.concatenate(start), min(steps, MAX_STEPS))
+    rows, model, jumps = found.aux
+    chi2 = np.sum(found.r**2) / problem.trust**2
+    return End(unpack(x), rows, model, jumps, chi2, steps)
+
+
+def _weigh(problem: Problem, point: FitPoint, rows: NDArray) -> tuple[NDArray, ArrowJacobian]:
+    """All residuals and their Jacobian: the weighted rows, the pushes' eta and the shared
+    parameters' distance from what was known before, all scaled by the trust."""
+    weighted = (problem.trust * problem.weights)[:, :, None] * rows
+    prior = problem.trust * problem.prior_weight
+    r = np.concatenate(
+        [
+            weighted[:, :, -1].ravel(),
+            problem.trust * point.eta,
+            prior * (point.theta - problem.prior),
+        ]
+    )
+    own = np.stack(
+        [problem.scatter * weighted[:, :, 0], problem.starts[:, None] * weighted[:, :, -2]], axis=2
+    )
+    shared = weighted[:, :, :-1] @ problem.selection
+    return r, ArrowJacobian(shared, own, problem.trust, prior)
