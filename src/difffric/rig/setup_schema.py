@@ -10,7 +10,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping
 from decimal import Decimal
-from functools import reduce
+from functools import cache, reduce
 from operator import getitem
 from typing import Annotated, Any
 
@@ -28,8 +28,11 @@ def validate_document(document: dict, name: str) -> Any:
 
     Raises `InputError` with a line for each thing that is wrong, led by the file's `name`.
     """
+    given = document.get("effects")
+    effects = tuple(x for x in _EFFECTS if isinstance(given, dict) and x in given)
     try:
-        return _File.model_validate({table: {} for table in _TABLES} | document)
+        model = _make_file_model(effects)
+        return model.model_validate({table: {} for table in _TABLES} | document)
     except pydantic.ValidationError as error:
         problems = [_describe(e, document) for e in error.errors(include_url=False)]
         raise InputError("\n".join(f"{name}: {problem}" for problem in problems)) from None
@@ -129,11 +132,17 @@ def _section(section: str) -> Any:
 
 
 _EFFECTS = [section.removeprefix("effects.") for section in SECTIONS if "." in section]
-_FIELDS: Any = {section: _section(section) for section in SECTIONS if "." not in section}
-_EACH: Any = {name: _section(f"effects.{name}") for name in _EFFECTS}
-_FIELDS["effects"] = (pydantic.create_model("_Effects", __base__=_StrictModel, **_EACH), ...)
-_TABLES = [*_FIELDS]
-_File: Any = pydantic.create_model("_File", __base__=_StrictModel, **_FIELDS)
+_TABLES = [*(section for section in SECTIONS if "." not in section), "effects"]
+
+
+@cache
+def _make_file_model(effects: tuple[str, ...]) -> Any:
+    """The model of a file that has tables of these effects: to make those of all effects takes
+    longer than to read the file."""
+    each: Any = {name: _section(f"effects.{name}") for name in effects}
+    fields: Any = {section: _section(section) for section in _TABLES[:-1]}
+    fields["effects"] = (pydantic.create_model("_Effects", __base__=_StrictModel, **each), ...)
+    return pydantic.create_model("_File", __base__=_StrictModel, **fields)
 
 
 def _describe(error: Mapping[str, Any], document: dict) -> str:
