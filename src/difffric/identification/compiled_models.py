@@ -55,10 +55,10 @@ def observe_batch(
 def solve_batch(rigs: Rig, velocity, integrator, target, by_force, bracket, rising):
     """The crossing in the bracket of each of n pushes, as `crossing.find_crossing` gives it."""
 
-    def solve_one(rig, velocity, target, bracket, rising):
+    def solve_one(rig, velocity, target, by_force, bracket, rising):
         return find_crossing(rig, velocity, target, by_force, bracket, rising, integrator)
 
-    return jax.vmap(solve_one)(rigs, velocity, target, bracket, rising)
+    return jax.vmap(solve_one)(rigs, velocity, target, by_force, bracket, rising)
 
 
 @compile_soon

@@ -72,7 +72,7 @@ def find_crossings_in_columns(
     rigs: Rig,
     velocity: NDArray,
     target: NDArray,
-    by_force: bool,
+    by_force: NDArray,
     bracket: tuple[NDArray, NDArray],
     rising: NDArray,
 ) -> Crossing:
@@ -81,12 +81,14 @@ def find_crossings_in_columns(
     Every number of the rigs is one value or n, all else n.
     """
 
-    def excess(log_mu_s, rigs, velocity, target):
+    def excess(log_mu_s, rigs, velocity, target, by_force):
         at = parameters.with_values(rigs, {"mu_s": xp.exp(log_mu_s)})
         return _measure_excess(observe_columns(at, velocity), target, by_force)
 
     interval = np.log(bracket[0]), np.log(bracket[1])
-    log_mu_s, end = find_roots_in_brackets(excess, (rigs, velocity, target), *interval, rising)
+    log_mu_s, end = find_roots_in_brackets(
+        excess, (rigs, velocity, target, by_force), *interval, rising
+    )
     mu_s = np.exp(log_mu_s)
     return Crossing(mu_s, end.slope * target / mu_s, end.arrived)
 

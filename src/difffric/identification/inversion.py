@@ -17,7 +17,7 @@ from difffric.compute import pytrees
 from difffric.compute.event_root import HIT
 from difffric.errors import InputError
 from difffric.identification.crossing import Crossing, find_crossings_in_columns
-from difffric.identification.push_models import PushModels, Quantity
+from difffric.identification.push_models import QUANTITIES, PushModels, Quantity
 from difffric.rig.rig import Rig
 from difffric.simulation.segments import Integrator
 from difffric.units import to_um
@@ -94,41 +94,61 @@ def invert_models(
 
     Raises `InputError` for an empty bracket.
     """
+    return _invert(models, target, np.full(len(target), quantity == "peak_force"), bracket)
+
+
+def invert_both(
+    models: PushModels,
+    peak_force: NDArray,
+    distance: NDArray,
+    bracket: tuple[float, float] = BRACKET,
+) -> tuple[list[Inversion], list[Inversion]]:
+    """What F_p (n,) [N] and what d (n,) [m] of each push say of mu_s, as `invert_models` of each,
+    in one go: both are looked for on the same grid of mu_s."""
+    n = len(models)
+    twice = models.pick(np.tile(np.arange(n), 2))
+    by_force = np.repeat([True, False], n)
+    found = _invert(twice, np.concatenate([peak_force, distance]), by_force, bracket)
+    return found[:n], found[n:]
+
+
+def _invert(
+    models: PushModels, target: NDArray, by_force: NDArray, bracket: tuple[float, float]
+) -> list[Inversion]:
+    """What each push's F_p, where `by_force` (n,), or else its d says of mu_s."""
     if not 0 < bracket[0] < bracket[1] < np.inf:
         raise InputError(f"bracket: expected 0 < lower < upper, got {bracket}")
     measured = np.isfinite(target)
-    roots = _solve_all(models, np.where(measured, target, 1.0), quantity, bracket)
+    index = np.flatnonzero(measured)
+    roots = _solve_all(models.pick(index), target[index], by_force[index], bracket)
     ends: dict[int, tuple[float, float]] = {}
-    rootless = np.flatnonzero(measured & ~np.array([bool(x) for x in roots], bool))
+    rootless = np.array([i for i, own in zip(index, roots, strict=True) if not own], int)
     if len(rootless):
-        least_most = _find_ends(models.pick(rootless), quantity, bracket)
+        least_most = _find_ends(models.pick(rootless), by_force[rootless], bracket)
         ends = dict(zip(rootless.tolist(), zip(*least_most, strict=True), strict=True))
-    nothing = Inversion(None, reason=f"no {_NAMES[quantity]} was measured")
-    return [
-        judge_roots(own, aim, quantity, bracket, ends.get(i)) if known else nothing
-        for i, (own, aim, known) in enumerate(
-            zip(roots, target.tolist(), measured.tolist(), strict=True)
-        )
-    ]
+    names = [QUANTITIES[0] if force else QUANTITIES[1] for force in by_force]
+    answers = [Inversion(None, reason=f"no {_NAMES[name]} was measured") for name in names]
+    for i, own in zip(index.tolist(), roots, strict=True):
+        answers[i] = judge_roots(own, float(target[i]), names[i], bracket, ends.get(i))
+    return answers
 
 
 def _solve_all(
-    models: PushModels, target: NDArray, quantity: Quantity, bracket: tuple[float, float]
+    models: PushModels, target: NDArray, by_force: NDArray, bracket: tuple[float, float]
 ) -> list[list[Root]]:
     """Every root of each push."""
     n = len(models)
     if models.rigs.pusher.stroke is None:
         ends = np.log(bracket)
-        rising = np.full(n, quantity == "peak_force")
-        found = np.arange(n), np.full(n, ends[0]), np.full(n, ends[1]), rising
+        found = np.arange(n), np.full(n, ends[0]), np.full(n, ends[1]), by_force
     else:
-        listed = _find_crossings(models, target, quantity, bracket)
+        listed = _find_crossings(models, target, by_force, bracket) if n else []
         found = tuple(np.array(column) for column in zip(*listed, strict=True))
     roots: list[list[Root]] = [[] for _ in range(n)]
     if found and n:
         which, lower, upper, rising = found
         interval = (np.exp(lower), np.exp(upper))
-        solved = _solve_many(models.pick(which), target[which], interval, rising, quantity)
+        solved = _solve_many(models.pick(which), target[which], interval, rising, by_force[which])
         columns = (x.tolist() for x in (which, solved.mu_s, solved.slope, solved.solved))
         for i, mu_s, slope, good in zip(*columns, strict=True):
             if good:
@@ -196,28 +216,21 @@ def _solve_many(
     target: NDArray,
     bracket: tuple[NDArray, NDArray],
     rising: NDArray,
-    quantity: Quantity,
+    by_force: NDArray,
 ) -> Crossing:
     """The crossing of each push in its bracket."""
-    by_force = quantity == "peak_force"
     if not models.compiled:
         return find_crossings_in_columns(
             models.rigs, models.velocity, target, by_force, bracket, rising
         )
     from difffric.identification.compiled_models import solve_batch
 
-    def solve_chunk(models, target, bracket, rising):
+    def solve_chunk(models, target, by_force, bracket, rising):
         return solve_batch(
-            models.rigs,
-            models.velocity,
-            models.integrator,
-            target,
-            np.asarray(by_force),
-            bracket,
-            rising,
+            models.rigs, models.velocity, models.integrator, target, by_force, bracket, rising
         )
 
-    return models.call_in_chunks(solve_chunk, target, bracket, rising)
+    return models.call_in_chunks(solve_chunk, target, by_force, bracket, rising)
 
 
 def _grid(bracket: tuple[float, float]) -> NDArray:
@@ -225,11 +238,11 @@ def _grid(bracket: tuple[float, float]) -> NDArray:
 
 
 def _find_ends(
-    models: PushModels, quantity: Quantity, bracket: tuple[float, float]
+    models: PushModels, by_force: NDArray, bracket: tuple[float, float]
 ) -> tuple[NDArray, NDArray]:
     """The least and the most the model gives over the bracket, for each push."""
     grid = np.broadcast_to(_grid(bracket), (len(models), _GRID))
-    value, _, _ = models.observe_distinct_rows(np.arange(len(models)), grid, quantity)
+    value, _, _ = models.observe_distinct_rows(np.arange(len(models)), grid, by_force)
     nowhere = np.isnan(value).all(axis=1)
     least = np.where(nowhere, np.nan, np.min(np.where(np.isnan(value), np.inf, value), axis=1))
     most = np.where(nowhere, np.nan, np.max(np.where(np.isnan(value), -np.inf, value), axis=1))
@@ -237,7 +250,7 @@ def _find_ends(
 
 
 def _find_crossings(
-    models: PushModels, target: NDArray, quantity: Quantity, bracket: tuple[float, float]
+    models: PushModels, target: NDArray, by_force: NDArray, bracket: tuple[float, float]
 ) -> list[tuple[int, float, float, bool]]:
     """Intervals (push, lower, upper, rising) of log mu_s in which the model crosses the target.
 
@@ -248,7 +261,7 @@ def _find_crossings(
     which = np.arange(len(target))
     points = np.broadcast_to(_grid(bracket), (len(target), _GRID))
     for level in range(_LEVELS):
-        value, slope, kind = models.observe_distinct_rows(which, points, quantity)
+        value, slope, kind = models.observe_distinct_rows(which, points, by_force[which])
         excess = value / target[which, None] - 1.0
         a, b = excess[:, :-1], excess[:, 1:]
         sa, sb = slope[:, :-1], slope[:, 1:]
@@ -285,7 +298,7 @@ def choose_by_force(
         return chosen
     which = np.repeat(several, [len(distance[i].alternatives) for i in several])
     mu_s = np.concatenate([distance[i].alternatives for i in several])
-    force, _, _ = models.pick(which).observe_rows(np.log(mu_s)[:, None], "peak_force")
+    (force, _), _, _ = models.pick(which).observe_rows(np.log(mu_s)[:, None])
     away = np.abs(force[:, 0] - peak_force[which])
     for i in several:
         chosen[i] = distance[i].at(int(np.argmin(away[which == i])))

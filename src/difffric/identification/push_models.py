@@ -102,24 +102,21 @@ class PushModels(NumberTree):
             parts.append(map_tree(np.asarray, found))
         return map_tree(lambda *leaves: np.concatenate(leaves)[:n], *parts)
 
-    def observe_rows(
-        self, log_mu_s: NDArray, quantity: Quantity
-    ) -> tuple[NDArray, NDArray, NDArray]:
-        """(value, derivative by log mu_s, kind), each (n, m), of one quantity at rows of log mu_s
-        (n, m)."""
+    def observe_rows(self, log_mu_s: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+        """(values, derivatives by log mu_s, kind) at rows of log mu_s (n, m): of F_p and d
+        (2, n, m) each, and (n, m)."""
         rows, columns = log_mu_s.shape
         models = self.pick(np.repeat(np.arange(rows), columns))
         found = models.observe_at(np.exp(log_mu_s.ravel()))
-        which = QUANTITIES.index(quantity)
-        arrays = (found.values[which], found.slopes[which], found.kind)
-        value, slope, kind = (a.reshape(rows, columns) for a in arrays)
-        return value, slope * np.exp(log_mu_s), kind
+        values, slopes = (np.reshape(x, (2, rows, columns)) for x in (found.values, found.slopes))
+        return values, slopes * np.exp(log_mu_s), found.kind.reshape(rows, columns)
 
     def observe_distinct_rows(
-        self, which: NDArray, log_mu_s: NDArray, quantity: Quantity
+        self, which: NDArray, log_mu_s: NDArray, by_force: NDArray
     ) -> tuple[NDArray, NDArray, NDArray]:
-        """`observe_rows` of the pushes `which` (m,) at rows of equally spaced log mu_s: once for
-        all rows that are alike, as those of a rig that is pushed at a few speeds are."""
+        """(value, derivative by log mu_s, kind), each (m, k), of F_p where `by_force` (m,) and else
+        of d, of the pushes `which` (m,) at rows of equally spaced log mu_s (m, k): computed once
+        for all rows that are alike, as those of a rig that is pushed at a few speeds are."""
         numbers = (np.asarray(x)[which] for x in (*list_leaves(self.rigs), self.velocity))
         code = np.zeros(len(which), int)
         for column in (*numbers, log_mu_s[:, 0], log_mu_s[:, -1]):
@@ -127,8 +124,10 @@ class PushModels(NumberTree):
             if len(values) > 1:
                 code = np.unique(code * len(values) + own, return_inverse=True)[1]
         _, first, again = np.unique(code, return_index=True, return_inverse=True)
-        found = self.pick(which[first]).observe_rows(log_mu_s[first], quantity)
-        return found[0][again], found[1][again], found[2][again]
+        (F, d), (dF, dd), kind = self.pick(which[first]).observe_rows(log_mu_s[first])
+        chosen = by_force[:, None]
+        value, slope = np.where(chosen, F[again], d[again]), np.where(chosen, dF[again], dd[again])
+        return value, slope, kind[again]
 
 
 def _observe_columns(models: PushModels, mu_s: NDArray) -> BothAt:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from difffric.compute.pytrees import map_tree
 from difffric.estimation import coordinates
 from difffric.estimation.push_rigs import make_push_rigs
-from difffric.identification.inversion import BRACKET, Inversion, choose_by_force, invert_models
+from difffric.identification.inversion import BRACKET, Inversion, choose_by_force, invert_both
 from difffric.identification.push_models import (
     PushModels,
     compute_range_ratio,
@@ -176,8 +176,9 @@ class ResolvedPushes:
         """What F_p and what d of each push say of mu_s. Of several mu_s for one d the measured
         force chooses."""
         pushes = self.pushes
-        force = invert_models(self.models, pushes.peak_force, "peak_force", bracket)
-        distance = invert_models(self.models, pushes.sliding_distance, "sliding_distance", bracket)
+        force, distance = invert_both(
+            self.models, pushes.peak_force, pushes.sliding_distance, bracket
+        )
         return force, choose_by_force(self.models, distance, pushes.peak_force)
 
     def differentiate(
