@@ -115,9 +115,9 @@ def power(x: Any, n: Any) -> Any:
 def where(condition: Any, new: Any, old: Any) -> Any:
     """`new` where the condition holds, else `old`; both have been computed, and what is left aside
     may be no number, nor may its derivative."""
-    level = highest((new, old))
-    if not level:
+    if type(new) is not Dual and type(old) is not Dual:
         return _library(condition, new, old).where(condition, new, old)
+    level = highest((new, old))
     (a, da), (b, db) = split(new, level), split(old, level)
     tangent = where(condition, 0.0 if da is None else da, 0.0 if db is None else db)
     return Dual(where(condition, a, b), tangent, level)

@@ -53,23 +53,20 @@ class Dual:
         return self
 
     def __add__(self, other: Any) -> Any:
-        level = _higher(self, other)
-        (a, da), (b, db) = split(self, level), split(other, level)
+        a, da, b, db, level = _split_both(self, other)
         return Dual(a + b, db if da is None else da if db is None else da + db, level)
 
     __radd__ = __add__
 
     def __sub__(self, other: Any) -> Any:
-        level = _higher(self, other)
-        (a, da), (b, db) = split(self, level), split(other, level)
+        a, da, b, db, level = _split_both(self, other)
         return Dual(a - b, -db if da is None else da if db is None else da - db, level)
 
     def __rsub__(self, other: Any) -> Any:
-        return -self + other
+        return Dual(other - self.value, -self.tangent, self.level)
 
     def __mul__(self, other: Any) -> Any:
-        level = _higher(self, other)
-        (a, da), (b, db) = split(self, level), split(other, level)
+        a, da, b, db, level = _split_both(self, other)
         if da is None:
             return Dual(a * b, a * db, level)
         return Dual(a * b, da * b if db is None else da * b + a * db, level)
@@ -107,8 +104,7 @@ class Dual:
 
 def divide(x: Any, y: Any) -> Any:
     """x / y, where one of them is a dual number at least."""
-    level = _higher(x, y)
-    (a, da), (b, db) = split(x, level), split(y, level)
+    a, da, b, db, level = _split_both(x, y)
     q = a / b
     if db is None:
         return Dual(q, da / b, level)
@@ -116,10 +112,15 @@ def divide(x: Any, y: Any) -> Any:
     return Dual(q, (fall if da is None else da + fall) / b, level)
 
 
-def _higher(x: Any, y: Any) -> int:
-    if type(x) is not Dual:
-        return y.level
-    return max(x.level, y.level) if type(y) is Dual else x.level
+def _split_both(x: Any, y: Any) -> tuple[Any, Any, Any, Any, int]:
+    """(value, tangent, value, tangent, level) of two numbers, one of them dual at least."""
+    if type(y) is not Dual:
+        return x.value, x.tangent, y, None, x.level
+    if type(x) is not Dual or x.level < y.level:
+        return x, None, y.value, y.tangent, y.level
+    if y.level < x.level:
+        return x.value, x.tangent, y, None, x.level
+    return x.value, x.tangent, y.value, y.tangent, x.level
 
 
 def highest(args: Any) -> int:

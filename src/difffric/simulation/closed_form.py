@@ -5,8 +5,6 @@ from __future__ import annotations
 from math import factorial
 from typing import TYPE_CHECKING, NamedTuple
 
-from jaxtyping import Float
-
 from difffric.compute import arrays as xp
 from difffric.compute.arrays import polynomial, slope
 from difffric.compute.elementary_functions import angle, quotient
@@ -20,7 +18,7 @@ from difffric.simulation.leg import Leg, first_event
 from difffric.simulation.oscillator import Oscillator, ViscousSlide
 
 if TYPE_CHECKING:
-    from jaxtyping import Array
+    from jaxtyping import Array, Float
 
 _SINE, _COSINE, _DECAY = (
     [sign**n / factorial(per * n + more) for n in range(5)]

@@ -28,7 +28,7 @@ VELOCITY = "velocity_m_per_s"
 MANY = 20_000
 """Pushes from which on a compiled program pays: loading one takes a second or two, as these do."""
 
-_CHUNK = 2048
+_CHUNK = 4096
 """Lanes that go together: their some hundred intermediate columns stay in the second-level
 cache."""
 

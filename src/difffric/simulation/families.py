@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from difffric.compute import pytrees
@@ -19,7 +18,7 @@ from difffric.simulation.segments import Integrator
 from difffric.units import from_mm_min
 
 if TYPE_CHECKING:
-    from jaxtyping import ArrayLike
+    from jaxtyping import ArrayLike, Float, Int
 
 SPEEDS_MM_MIN = np.linspace(500.0, 5000.0, 19)
 """The speeds of the paper's experiments."""

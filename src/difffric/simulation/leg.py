@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from jaxtyping import Float, Int
-
 from difffric.compute import arrays as xp
 from difffric.simulation.events import Event
 
 if TYPE_CHECKING:
-    from jaxtyping import Array, ArrayLike
+    from jaxtyping import Array, ArrayLike, Float, Int
 
 
 class Leg(NamedTuple):

@@ -7,7 +7,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from difffric.compute import arrays as xp
@@ -18,7 +17,7 @@ from difffric.simulation.events import MAX_CONTACTS, MAX_CYCLES, Reason, Regime
 from difffric.simulation.segments import Integrator, Push, State
 
 if TYPE_CHECKING:
-    from jaxtyping import Array, ArrayLike
+    from jaxtyping import Array, ArrayLike, Float, Int
 
     from difffric.simulation.stepping.loop import StepLoop
     from difffric.simulation.stepping.state import LoopState

@@ -12,7 +12,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from difffric.compute import arrays as xp
 from difffric.compute.arrays import polynomial
@@ -20,7 +19,7 @@ from difffric.compute.elementary_functions import angle, log1p, quotient, sin_co
 from difffric.rig.number import Number
 
 if TYPE_CHECKING:
-    from jaxtyping import Array
+    from jaxtyping import Array, Float
 
 # Coefficients of the series that take over where the closed forms divide by nearly nothing: of
 # sin(x)/x and cos(x) in x^2, arctan(x)/x in x^2, (1 - (1 - e^-x)/x)/x and (1 - log(1 + y)/y)/y.

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from jaxtyping import Bool, Float, Int
-
 from difffric.compute import arrays as xp
 from difffric.compute.lanes import change_where, repeat_while
 from difffric.compute.pytrees import select
@@ -20,7 +18,7 @@ from difffric.simulation.events import MAX_CONTACTS, MAX_CYCLES, Event, Mode
 from difffric.simulation.leg import Leg
 
 if TYPE_CHECKING:
-    from jaxtyping import Array, ArrayLike
+    from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 
 class Segment(NamedTuple):
