@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from math import factorial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from difffric.compute import arrays as xp
 from difffric.compute.arrays import polynomial, slope
 from difffric.compute.elementary_functions import angle, quotient
 from difffric.compute.event_root import find_falling_root
+from difffric.compute.number_tree import NumberTree
 from difffric.compute.pytrees import select
 from difffric.errors import InputError
 from difffric.rig.number import Number, Truth
@@ -65,14 +66,10 @@ def _undershoot(t, args):
     return v_p - p, -dp
 
 
-class ClosedForm(NamedTuple):
+class ClosedForm(NumberTree):
     """Equation (2) with affine laws, solved on paper: exact to rounding, fast, and
     differentiable to any order in forward mode.
     """
-
-    def __bool__(self) -> bool:
-        """It is one, though it holds nothing."""
-        return True
 
     def check(self, rig: Rig) -> None:
         """Raise `InputError` where a law of the rig has no closed form."""
