@@ -11,6 +11,7 @@ from difffric.compute.xla_options import compile_soon
 from difffric.estimation.descent import Model, pose_problem
 from difffric.estimation.mixed_model import Problem
 from difffric.estimation.stacked_data import FitData
+from difffric.timings import count_followed
 
 BATCH = 256
 """Points whose answers are computed by one call: enough to keep a processor's vector units full,
@@ -57,6 +58,7 @@ def compute_answers(model: Model, data: FitData, thetas: NDArray, s_etas: NDArra
         theta[: len(part), : part.shape[1]] = part
         s_eta[: data.n, : len(part)] = s_etas[lo : lo + BATCH].T
         out.append(np.asarray(_answer_batch(problem, theta, s_eta))[: data.n, : len(part)])
+        count_followed(1, (data.n * len(part), whole * BATCH))
     return np.concatenate(out, axis=1).swapaxes(0, 1)
 
 

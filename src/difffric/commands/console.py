@@ -16,6 +16,7 @@ from difffric.commands import reports
 from difffric.errors import InputError
 from difffric.output_folder import check_writable
 from difffric.progress import Tell
+from difffric.timings import Timings, keep_timings
 
 if TYPE_CHECKING:
     from difffric.commands.reports.page import Report, Table
@@ -24,17 +25,33 @@ _WIDEST = 200
 """Characters of a printed table: no table of ours needs more."""
 
 
+class ShownProgress:
+    """Tells a bar how far the work has come, and the work's timings which part of it goes on."""
+
+    def __init__(self, show: Tell, timings: Timings):
+        self._show, self.timings = show, timings
+
+    def __call__(self, what: str, share: float, /) -> None:
+        """Tell what is being done, and the share of the whole that is done."""
+        self.timings.begin(what)
+        self._show(what, share)
+
+
 @contextmanager
-def show_progress(quiet: bool) -> Iterator[Tell]:
-    """Yield `tell(what, share done)`, which shows a bar on standard error unless quiet."""
+def show_progress(quiet: bool) -> Iterator[ShownProgress]:
+    """Yield `tell(what, share done)`, which shows a bar on standard error unless quiet, and keeps
+    the timings of what is done within."""
     # Here, as a command's help shows no bar and would wait for its import.
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
+    shown = Progress(*columns, console=console, transient=True, disable=quiet)
+    with keep_timings() as timings, shown as bar:
         task = bar.add_task("starting", total=1.0)
-        yield lambda what, share: bar.update(task, description=what, completed=share)
+        yield ShownProgress(
+            lambda what, share: bar.update(task, description=what, completed=share), timings
+        )
 
 
 def check_out(out: Path | None) -> None:
@@ -54,11 +71,16 @@ def check_setup_stays(out: Path | None, setup: Path) -> None:
 
 
 def print_and_write(
-    report: Report, answer: Any, out: Path | None, files: Mapping[str, bytes] | None = None
+    report: Report,
+    answer: Any,
+    out: Path | None,
+    files: Mapping[str, bytes] | None = None,
+    timings: Timings | None = None,
 ) -> None:
     """Print the report's summary and tables; write the folder where one was asked for.
 
-    `files` are written beside result.json, report.html and the figures.
+    `files` are written beside result.json, report.html and the figures; `timings`, where there are
+    any, stand in result.json.
     """
     console = Console(highlight=False, markup=False)
     own_width = console.width
@@ -73,6 +95,8 @@ def print_and_write(
             console.print(shown)
     console.width = own_width
     if out is not None:
+        if timings is not None:
+            answer = {**answer, "timings": timings.as_dict()}
         reports.page.write_folder(out, answer, report, files)
         names = ", ".join(["result.json", "report.html", *(files or {}), "figures"])
         console.print(f"written to {out}: {names}")

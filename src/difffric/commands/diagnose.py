@@ -62,7 +62,7 @@ def diagnose(
         tell("drawing", 0.99)
         report = reports.diagnose.report_diagnosis(found, pictures=out is not None)
         files = None if out is None else {"setup.toml": df.rig.format_setup(found.setup).encode()}
-    print_and_write(report, found.as_dict(), out, files)
+    print_and_write(report, found.as_dict(), out, files, tell.timings)
 
 
 def _diagnose_fleet(

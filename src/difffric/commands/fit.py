@@ -78,4 +78,4 @@ def fit(
             if out is None
             else {"setup.toml": df.rig.format_setup(found.fitted_setup).encode()}
         )
-    print_and_write(report, answer.as_dict(), out, files)
+    print_and_write(report, answer.as_dict(), out, files, tell.timings)

@@ -38,7 +38,7 @@ def identify(
         found = df.identify(rig, loaded, use_data_mass=use_data_mass, skip_bad=skip_bad, tell=tell)
     answer = reports.identify.describe_friction(found, rig.rig)
     report = reports.identify.report_friction(found, answer, loaded, out is not None)
-    print_and_write(report, answer, out)
+    print_and_write(report, answer, out, timings=tell.timings)
 
 
 def _identify_fleet(

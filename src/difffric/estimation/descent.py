@@ -29,6 +29,7 @@ from difffric.estimation.mixed_model import (
 from difffric.estimation.restricted_likelihood import Components, LinearModel, linearise
 from difffric.estimation.stacked_data import RECORDINGS, FitData, pad
 from difffric.rig.rig import Rig
+from difffric.timings import count_followed
 
 ARRIVED = 1e-4
 """A fit has arrived where less than this is left to gain in chi-square."""
@@ -150,8 +151,14 @@ def descend(
     parameters `held` (P,) where they are, after `steps` steps at most."""
     problem, start = _pose_descent(model, data, at, held, weights, scatter, trust)
     if data.kind == RECORDINGS:
-        return minimise_recordings(problem, start, steps)
-    return minimise_table(problem, start, np.asarray(steps))
+        end = minimise_recordings(problem, start, steps)
+    else:
+        end = minimise_table(problem, start, np.asarray(steps))
+    whole, _, columns = np.shape(end.rows)
+    calls = int(end.steps) + 1
+    pushes = calls * data.n, calls * whole
+    count_followed(calls, pushes, (pushes[0] * (columns - 1), pushes[1] * (columns - 1)))
+    return end
 
 
 def prepare_descent(model: Model, data: FitData, at: Settled) -> None:

@@ -31,6 +31,7 @@ from difffric.estimation.restricted_likelihood import (
     estimate_variances,
 )
 from difffric.estimation.stacked_data import FitData
+from difffric.estimation.thread_pool import map_in_threads
 from difffric.rig.parameters import PARAMETERS
 
 ROUNDS = 25
@@ -162,9 +163,12 @@ def rescan_push_friction(
 
     best, s_eta = cost(at.end)
     improved = False
-    for trial in trials:
+
+    def descend_from(trial: NDArray) -> End:
         start = replace(at, s_eta=trial)
-        end = descend(model, data, start, everything, at.weights, at.scatter, 30.0, _TRIAL)
+        return descend(model, data, start, everything, at.weights, at.scatter, 30.0, _TRIAL)
+
+    for end in map_in_threads(descend_from, trials):
         new, ended_at = cost(end)
         better = new < best - 1e-3
         improved |= bool(better.any())
