@@ -15,7 +15,9 @@ Compiling
 
 Roots and minima
 : `event_root.find_falling_root` for the time of an event, with exact derivatives of every order.
-  `bracketed_newton.BracketedNewton` as a root finder of optimistix, where no derivative is needed.
+  `bracketed_step` is Newton's step kept in a bracket, and a search in columns of NumPy's;
+  `bracketed_newton.BracketedNewton` the same as a root finder of optimistix, where no derivative
+  is needed.
   `hermite` for the first root of a guard known at both ends of a step.
   `levenberg_marquardt` for a fit of many pushes within a compiled program, `arrow_jacobian` for one
   whose model alone is compiled.

@@ -8,6 +8,8 @@ depends on what is asked:
 - F_p, d and the regime of one push: `observables.observe`. It can be mapped, compiled and
   differentiated.
 - The same of many pushes as NumPy arrays, on all cores: `batch.observe_batch`.
+- The same of some thousand pushes at most, by NumPy and without a compiled program, where every
+  law is affine: `columns.observe_columns`.
 - Derivatives by every parameter, and the distance to the next regime: `sensitivities`.
 - Force, position and speed at any time: `trajectory.simulate`.
 - Curves over speed and mu_s: `families.family`.

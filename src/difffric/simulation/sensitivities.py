@@ -16,20 +16,17 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from difffric.compute import pytrees
-from difffric.compute.lanes import differentiate
 from difffric.compute.number_tree import is_traced
 from difffric.errors import InputError
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
-from difffric.simulation.columns import observe_columns, serves
+from difffric.simulation.columns import VELOCITY, differentiate_columns, observe_columns, serves
 from difffric.simulation.observables import Observables, observe
 from difffric.simulation.segments import Integrator
 
 if TYPE_CHECKING:
     from jaxtyping import Array, ArrayLike
 
-VELOCITY = "velocity_m_per_s"
-"""The name of the pusher's speed among the parameters of derivatives."""
 NEAR_EDGE = 1e-3
 """A margin below this makes derivatives one-sided in the answer."""
 _POINTS = 48
@@ -67,7 +64,7 @@ def sensitivity(
         if np.ndim(x):
             raise InputError(f"sensitivity: {name}: expected one number, got {np.shape(x)}")
     if serves(rig, integrator):
-        return _differentiate_column(rig, names, numbers)
+        return _differentiate_column(rig, velocity, names)
     import jax.numpy as jnp
 
     # One small program, called for each parameter: it compiles and loads in less time.
@@ -78,20 +75,14 @@ def sensitivity(
     return Sensitivity(seen[-1], _name(names, dF), _name(names, dd))
 
 
-def _differentiate_column(rig: Rig, names: tuple[str, ...], numbers: Numbers) -> Sensitivity:
+def _differentiate_column(
+    rig: Rig, velocity: Float[ArrayLike, ""], names: tuple[str, ...]
+) -> Sensitivity:
     """The sensitivity of one push, by NumPy."""
-    put = parameters.setter(rig, parameters.names(rig))
-
-    def measure(at: tuple) -> Observables:
-        *own, velocity = at
-        return observe_columns(put(*own), velocity)
-
-    along = tuple(direction[:, None] for direction in np.eye(len(numbers)))
-    seen, by = differentiate(measure, numbers, along)
-    exists = np.isfinite(seen.sliding_distance)
-    dd = np.where(exists, by.sliding_distance, np.nan)
+    seen, by = differentiate_columns(rig, velocity, names)
     one = pytrees.map_tree(lambda column: column[0], seen)
-    return Sensitivity(one, _name(names, by.peak_force[:, 0]), _name(names, dd[:, 0]))
+    dF, dd = by.peak_force[:, 0], by.sliding_distance[:, 0]
+    return Sensitivity(one, _name(names, dF), _name(names, dd))
 
 
 def _trace_sensitivity(
