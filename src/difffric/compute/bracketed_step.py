@@ -17,6 +17,9 @@ LONGEST = 200
 JUMP = 1e-6
 """A relative excess above this that a step of rounding removes is a jump, such as that of d where
 the part only just leaves the tip, and no root."""
+NARROW, STEEP = 1e-9, 1e-3
+"""A bracket this narrow within which the relative excess is still this large holds a jump too: a
+root there would be of a slope of 1e6 at least. It is not bisected to the end."""
 ARRIVED = 1e-15
 """The last step of a root that has been found is no longer than this."""
 
@@ -52,7 +55,8 @@ def step_in_bracket(
     hit = xp.abs(value) <= HIT
     new = xp.where(hit, y, xp.where(inside | arrived, new, 0.5 * (lower + upper)))
     arrived = arrived | hit
-    last = xp.where(arrived, 0.0, xp.abs(new - y))
+    jumps = (upper - lower < NARROW) & (xp.abs(value) > STEEP)
+    last = xp.where(arrived | jumps, 0.0, xp.abs(new - y))
     return new, Bracket(lower, upper, last, slope, arrived)
 
 

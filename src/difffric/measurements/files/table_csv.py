@@ -10,11 +10,11 @@ import csv
 import io
 import math
 import os
+from collections.abc import Sequence
 from decimal import Decimal
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-import polars as pl
 from numpy.typing import NDArray
 
 from difffric.atomic_files import read_bytes, write_whole
@@ -31,6 +31,8 @@ from difffric.measurements.quantities import (
 
 BY_KEY = {q.key: q for q in QUANTITIES}
 _TEN_TO = np.array([float(f"1e{n}") for n in range(23)])  # exact
+_MANY = 2000
+"""Rows from which polars, whose import takes as long as to read so many, is the faster."""
 _COMMA = "is a comma meant as the decimal point? expected a decimal point, and commas between cells"
 
 
@@ -45,20 +47,20 @@ def read_table(path: str | os.PathLike, *, skip_bad: bool = False) -> Pushes:
     except UnicodeDecodeError as error:
         line = error.object.count(b"\n", 0, error.start) + 1
         raise InputError(f"{path}: expected text in UTF-8, line {line} is not") from None
-    header, frame, problems = _frame(text, path)
+    header, table, problems = _split(text, path)
     wrong = _column_problems(header)
     if wrong:
         raise InputError(join_problems([f"{path}: {problem}" for problem in wrong]))
     columns: dict[str, Any] = {}
     for name in header:
-        columns[BY_KEY[name].attribute], bad = _column(frame, BY_KEY[name])
+        columns[BY_KEY[name].attribute], bad = _read_column(table, BY_KEY[name])
         problems += bad
-    problems += _unsaid(frame)
+    problems += _find_unsaid(table)
     lines = [f"{path}: line {problem}" for _, problem in sorted(problems, key=lambda p: p[0])]
     bad_lines = {line for line, _ in problems}
     if lines and not skip_bad:
         raise InputError(join_problems(lines))
-    keep = [i for i, line in enumerate(frame["line"]) if line not in bad_lines]
+    keep = [i for i, line in enumerate(table.lines) if line not in bad_lines]
     if not keep:
         what = "no row of it can be used" if lines else "no rows below the header: expected pushes"
         raise InputError(join_problems([f"{path}: {what}", *lines]))
@@ -85,12 +87,22 @@ def write_table(pushes: Pushes, path: str | os.PathLike) -> None:
             cells = [None if math.isnan(x) else q.from_si(float(x)) for x in values]
         if any(cell is not None for cell in cells):
             columns[q.key] = cells
-    text = pl.DataFrame(columns, schema=dict.fromkeys(columns, pl.String)).write_csv()
-    write_whole(path, lambda file: file.write(text.encode()))
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(zip(*columns.values(), strict=True))
+    write_whole(path, lambda file: file.write(text.getvalue().encode()))
 
 
-def _frame(text: str, path) -> tuple[list[str], pl.DataFrame, list[tuple[int, str]]]:
-    """(header, cells as text with the line of each row, rows that are too long or too short)."""
+class _Cells(NamedTuple):
+    """The cells of a table as text, None where empty, a column a name; and the line of each row."""
+
+    columns: dict[str, list[str | None]]
+    lines: list[int]
+
+
+def _split(text: str, path) -> tuple[list[str], _Cells, list[tuple[int, str]]]:
+    """(header, cells, rows that are too long or too short)."""
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     rows: list[tuple[int, list[str]]] = []
     line = 1
@@ -119,14 +131,9 @@ def _frame(text: str, path) -> tuple[list[str], pl.DataFrame, list[tuple[int, st
             continue
         hint = f": {_COMMA}" if len(cells) > n else ""
         problems.append((line, f"{line}: {len(cells)} cells, expected {n}{hint}"))
-    data = {str(i): [cells[i] for _, cells in good] for i in range(n)}
-    frame = pl.DataFrame(data, schema=dict.fromkeys(data, pl.String))
-    frame = frame.with_columns(pl.all().replace("", None))
-    # Names may be doubled, which a frame cannot have: that is told before they are used.
-    if len(set(header)) == n and "line" not in header:
-        frame.columns = header
-    lines = pl.Series([line for line, _ in good], dtype=pl.Int64)
-    return header, frame.with_columns(line=lines), problems
+    # Names may be doubled: that is told before a column is read.
+    columns = {name: [cells[i] or None for _, cells in good] for i, name in enumerate(header)}
+    return header, _Cells(columns, [line for line, _ in good]), problems
 
 
 def _column_problems(header: list[str]) -> list[str]:
@@ -153,14 +160,19 @@ def _column_problems(header: list[str]) -> list[str]:
     return problems
 
 
-def _column(frame: pl.DataFrame, q: PushQuantity) -> tuple[list, list[tuple[int, str]]]:
+def _read_column(table: _Cells, q: PushQuantity) -> tuple[list, list[tuple[int, str]]]:
     """The values [SI] of a column, NaN (or "") where not measured; and the cells that are wrong."""
+    cells = table.columns[q.key]
     if q.range is None:
-        return frame[q.key].fill_null("").to_list(), []
-    values, problems = _plain(frame[q.key], q), []
-    values = np.where(q.range.holds(values), values, np.nan)
-    rest = frame.select("line", q.key).with_row_index().filter(np.isnan(values))
-    for i, line, cell in rest.filter(pl.col(q.key).is_not_null()).iter_rows():
+        return [cell or "" for cell in cells], []
+    values, problems = np.full(len(cells), np.nan), []
+    if len(cells) >= _MANY:
+        values = parse_plain_cells(cells, q)
+        values = np.where(q.range.holds(values), values, np.nan)
+    for i in np.flatnonzero(np.isnan(values)):
+        cell, line = cells[i], table.lines[i]
+        if cell is None:
+            continue
         number = parse_decimal(cell)
         value = math.nan if number is None else q.to_si(number)
         if math.isfinite(value) and q.range.holds(value):
@@ -175,11 +187,14 @@ def _column(frame: pl.DataFrame, q: PushQuantity) -> tuple[list, list[tuple[int,
     return values.tolist(), problems
 
 
-def _plain(cells: pl.Series, q: PushQuantity) -> NDArray:
+def parse_plain_cells(texts: Sequence[str | None], q: PushQuantity) -> NDArray:
     """(n,) the values [SI] of decimals of at most 15 digits, each as by `to_si`; NaN for others.
 
     Digits over a power of ten, both exact as floats, so that only the quotient is rounded.
     """
+    import polars as pl
+
+    cells = pl.Series(texts, dtype=pl.String)
     digits = cells.str.replace(".", "", literal=True)
     plain = cells.str.contains(r"^\d+(\.\d+)?$") & (digits.str.len_bytes() <= 15)
     places = (cells.str.len_bytes() - 1 - cells.str.find(".", literal=True)).fill_null(0)
@@ -188,10 +203,13 @@ def _plain(cells: pl.Series, q: PushQuantity) -> NDArray:
     return np.where(plain.fill_null(False).to_numpy(), value, np.nan)
 
 
-def _unsaid(frame: pl.DataFrame) -> list[tuple[int, str]]:
+def _find_unsaid(table: _Cells) -> list[tuple[int, str]]:
     """Rows that name no speed at all."""
-    speeds = [x for x in ("velocity_mm_min", "release_velocity_mm_min") if x in frame.columns]
-    missing = frame.filter(pl.all_horizontal(pl.col(x).is_null() for x in speeds))
+    names = ("velocity_mm_min", "release_velocity_mm_min")
+    speeds = [name for name in names if name in table.columns]
+    said = zip(table.lines, *(table.columns[name] for name in speeds), strict=True)
     return [
-        (line, f"{line}, {speeds[0]}: empty, expected a number > 0") for line in missing["line"]
+        (line, f"{line}, {speeds[0]}: empty, expected a number > 0")
+        for line, *cells in said
+        if not any(cells)
     ]
