@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from itertools import chain
 from typing import Any, Protocol
 
 from difffric.errors import InputError
@@ -42,9 +43,9 @@ def start_workers(n: int = 1, scheduler: str | None = None) -> Iterator[Runner]:
     """Yield a runner: in this process for n = 1, on n new processes, or on the workers of a dask
     `scheduler` (its address).
 
-    New processes are spawned, as a fork would copy the locks of this one's threads. They end with
-    this process, also where it is killed. A script that asks for them needs
-    `if __name__ == "__main__":`.
+    New processes are spawned, as a fork would copy the locks of this one's threads, and only with
+    the first task, as they take seconds to start. They end with this process, also where it is
+    killed. A script that asks for them needs `if __name__ == "__main__":`.
 
     Raises `InputError` without dask.distributed, and for a scheduler that does not answer.
     """
@@ -53,7 +54,7 @@ def start_workers(n: int = 1, scheduler: str | None = None) -> Iterator[Runner]:
         return
     try:
         import dask.config
-        import distributed
+        import distributed  # noqa: F401
     except ImportError:
         raise InputError(
             "several workers or a scheduler need dask.distributed: "
@@ -65,6 +66,27 @@ def start_workers(n: int = 1, scheduler: str | None = None) -> Iterator[Runner]:
     dask.config.set({"logging.distributed": "critical"})
     # It would stop the work a hundred times a second to note where it is.
     dask.config.set({"distributed.worker.profile.enabled": False})
+    with ExitStack() as stack:
+        clients = [] if scheduler is None else [stack.enter_context(_connect(n, scheduler))]
+
+        def run(function: Callable, tasks: Iterable) -> Iterator[tuple[Any, Any]]:
+            rest = iter(tasks)
+            for first in rest:
+                if not clients:
+                    clients.append(stack.enter_context(_connect(n, scheduler)))
+                yield from _run_on(clients[0], function, chain([first], rest))
+
+        yield run
+
+
+@contextmanager
+def _connect(n: int, scheduler: str | None) -> Iterator[Any]:
+    """Yield a dask client of a scheduler, or of n new processes where there is none.
+
+    Raises `InputError` for a scheduler that does not answer.
+    """
+    import distributed  # an optional dependency
+
     cluster = None
     try:
         if scheduler is None:
@@ -83,7 +105,7 @@ def start_workers(n: int = 1, scheduler: str | None = None) -> Iterator[Runner]:
         words = " ".join(str(error).split())
         raise InputError(f"{scheduler or 'workers'}: no scheduler answers: {words}") from None
     try:
-        yield lambda function, tasks: _run_on(client, function, tasks)
+        yield client
     finally:
         client.close()
         if cluster is not None:

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -354,6 +355,22 @@ def test_several_workers_without_dask_name_the_extra(made, tmp_path, monkeypatch
     with pytest.raises(df.InputError, match=r"pip install 'difffric\[fleet\]'"):
         identify_fleet(made, tmp_path / "out", n_workers=2)
     assert not (tmp_path / "out").exists()
+
+
+def test_processes_start_with_the_first_task(monkeypatch):
+    asked = []
+
+    @contextmanager
+    def connect(n, scheduler):
+        asked.append(n)
+        yield "client"
+
+    monkeypatch.setattr(workers, "_connect", connect)
+    monkeypatch.setattr(workers, "_run_on", lambda client, function, tasks: map(function, tasks))
+    with workers.start_workers(2) as run:
+        assert list(run(abs, [])) == asked == []
+        assert list(run(abs, [-1, -2])) == [1, 2] and list(run(abs, [-3])) == [3]
+    assert asked == [2]
 
 
 def test_a_scheduler_that_does_not_answer_is_told(monkeypatch, made, tmp_path):
