@@ -146,11 +146,9 @@ def estimate_noise(stretches: Iterable[ArrayLike]) -> Noise:
         lost = float(np.log(information).sum()) - len(arrays) * math.log(1 - phi**2)
         return freedom * math.log(rest) + lost
 
-    least = _SIGNIFICANT / math.sqrt(n)
-    inner_least = 0.99 * least
-    phi = 0.0
-    # Where it rises from there to either side, no correlation that is significant is best.
-    if min(criterion(least), criterion(-least)) <= max(map(criterion, (inner_least, -inner_least))):
+    phi, least = 0.0, _SIGNIFICANT / math.sqrt(n)
+    # Where it rises at both bounds of what is not significant, the best one is not.
+    if any(criterion(x) <= criterion(0.99 * x) for x in (least, -least)):
         best: Any = scipy.optimize.minimize_scalar(
             criterion, bounds=(-_MOST, _MOST), method="bounded"
         )

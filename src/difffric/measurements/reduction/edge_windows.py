@@ -120,9 +120,11 @@ def _judge(gram: NDArray, size: NDArray, degrees: NDArray) -> tuple[NDArray, NDA
     scaled, norms = scale_gram(gram)
     r = np.linalg.cholesky(scaled[:, _WITHOUT[:, None], _WITHOUT])
     plain = _sum_from_end(r[:, -1] * norms[:, -1:])[:, degrees + 2]
-    z = [1.0 / r[:, 1, 1]]  # the step's column of the inverse factor
-    for k in range(2, 2 + len(degrees)):
-        z.append(-np.einsum("nj,jn->n", r[:, k, 1:k], np.array(z)) / r[:, k, k])
+    unit = r[:, 1:-1, 1:-1]
+    z = np.empty((unit.shape[1], len(gram)))  # the step's column of the inverse factor
+    z[0] = 1.0 / unit[:, 0, 0]
+    for k in range(1, len(z)):
+        z[k] = (unit[:, k, :k] * z[:k].T).sum(axis=1) / -unit[:, k, k]
     width = np.sqrt(np.cumsum(np.square(z), axis=0))[degrees] / norms[:, 1]
     r = np.linalg.cholesky(scaled)
     rest = _sum_from_end(r[:, -1] * norms[:, -1:])[:, degrees + _FIRST + _HIGHER]
