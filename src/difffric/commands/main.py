@@ -37,6 +37,7 @@ COMMANDS = {
     "it.",
     "export": "mu_s from F_p and d for a controller: predictor.c, .h and .json, with the error "
     "proven.",
+    "warm": "Compile, once and beforehand, what the commands need for a set-up.",
     "paper": "The paper's Tables I-V and Figures II.3-II.6, beside the differentiable model's "
     "answers.",
 }

@@ -88,10 +88,10 @@ class CachedProgram:
 
     def _find(self, leaves, tree, arrays, needed: bool = False) -> Callable | None:
         """The program for arguments like these; None: by `jitted`, unless it is `needed`."""
-        from difffric.compute.programs.store import kind_of
+        from difffric.compute.programs.store import describe_kind
 
         # With its class, as 1, 1.0 and True are equal.
-        kinds = tuple(kind_of(x) if _is_array(x) else (type(x), x) for x in leaves)
+        kinds = tuple(describe_kind(x) if _is_array(x) else (type(x), x) for x in leaves)
         key = (tree, kinds)
         try:
             if key in self._ready:
@@ -111,7 +111,12 @@ class CachedProgram:
         import jax
 
         from difffric.compute.programs.record import Record
-        from difffric.compute.programs.store import compile_now, kind_of, load_or_compile, wrap
+        from difffric.compute.programs.store import (
+            compile_now,
+            describe_kind,
+            load_or_compile,
+            wrap,
+        )
 
         name = f"{self._function.__module__}.{self._function.__qualname__}"
 
@@ -127,7 +132,7 @@ class CachedProgram:
             and has_own_classes(jax.tree.unflatten(tree, leaves))
             and _NAMELESS not in named
         ):
-            kinds = [kind_of(x) if _is_array(x) else (type(x).__name__, x) for x in leaves]
+            kinds = [describe_kind(x) if _is_array(x) else (type(x).__name__, x) for x in leaves]
             kept = load_or_compile((name, named, kinds), flat, arrays, self._options)
         if kept is None and needed:
             return wrap(*compile_now(flat, arrays, self._options, Record(name, "")))

@@ -1,4 +1,5 @@
 from . import centering_runs as centering_runs
+from . import first_runs as first_runs
 from . import other_centering as other_centering
 from . import paper as paper
 from . import sampling as sampling

@@ -12,7 +12,7 @@ from rich.console import Console
 from difffric.acquisition.hardware_check import Hardware
 from difffric.acquisition.push import Acquired, Command
 from difffric.commands.figures.acquire import draw_strokes, find_envelope
-from difffric.commands.live_view import LivePlot, LiveView
+from difffric.commands.figures.live_view import LivePlot, LiveView
 from difffric.identification.estimates import NONE, Estimate, PushFriction
 from difffric.identification.live import LivePush, find_contradictions
 from difffric.identification.tabulated_model import TabulatedModel, _observe_chunk

@@ -14,7 +14,7 @@ from difffric.acquisition.card import METRES_PER_COUNT, VOLTS_PER_WORD, CardErro
 from difffric.acquisition.push import Acquired, Command
 from difffric.acquisition.recorder import acquire
 from difffric.commands import figures
-from difffric.commands.live_view import LivePlot, LiveView, list_notes
+from difffric.commands.figures.live_view import LivePlot, LiveView, list_notes
 from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.errors import InputError
 from difffric.identification.live import LiveIdentifier, LivePush

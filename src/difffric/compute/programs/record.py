@@ -1,6 +1,6 @@
 """What each compiled program cost: seconds to trace, compile, load and run it, and its size.
 
-Nothing is counted unless the environment variable `FILE` names a file, to which each process adds a
+Calls are counted where the environment variable `FILE` names a file, to which each process adds a
 line for each of its programs when it ends (`python -m benchmarks.programs` makes a table of them).
 """
 
@@ -19,7 +19,8 @@ from typing import Any
 FILE = "DIFFFRIC_PROGRAM_LOG"
 """Environment variable: the file to which what programs cost is added; unset: to none."""
 
-_records: list[Record] = []
+RECORDS: list[Record] = []
+"""Of all programs that this process asked for, in the order in which it did."""
 
 
 @dataclass
@@ -47,11 +48,11 @@ class Record:
 
     def watch(self, call: Callable) -> Callable:
         """The program; where a file is named, its calls are counted from now on."""
+        RECORDS.append(self)
         if not os.environ.get(FILE):
             return call
-        if not _records:
+        if len(RECORDS) == 1:
             atexit.register(_append)
-        _records.append(self)
 
         def run(arrays: list) -> Any:
             with self.time("ran"):
@@ -63,7 +64,7 @@ class Record:
 
 
 def _append() -> None:
-    lines = [json.dumps(asdict(record)) + "\n" for record in _records]
+    lines = [json.dumps(asdict(record)) + "\n" for record in RECORDS]
     with suppress(OSError), Path(os.environ[FILE]).open("a", encoding="utf-8") as file:
         file.write("".join(lines))
 

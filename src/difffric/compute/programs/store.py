@@ -80,7 +80,7 @@ def load_or_compile(
     folder = find_folder(os.environ.get(FOLDER, ""))
     if folder is None or is_tracing():
         return None
-    whole = repr((key, list(map(kind_of, arrays)), options))
+    whole = repr((key, list(map(describe_kind, arrays)), options))
     path = folder / hashlib.sha256(whole.encode()).hexdigest()[:40]
     if _fatal(path):
         return None
@@ -97,7 +97,7 @@ def compile_now(
 ) -> tuple[Any, Any]:
     """`function` compiled for a list of arrays like these, giving a list; and the structure of
     what it gives."""
-    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=kind_of(x)[2]) for x in arrays]
+    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=describe_kind(x)[2]) for x in arrays]
     trees = []
 
     def list_leaves(arrays):
@@ -209,7 +209,7 @@ def _beside_jax_cache() -> Iterator[None]:
         yield
 
 
-def kind_of(x: Any) -> tuple:
+def describe_kind(x: Any) -> tuple:
     """What of an array a program is made for."""
     return x.shape, x.dtype, getattr(x, "weak_type", False)
 

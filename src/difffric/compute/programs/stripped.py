@@ -55,7 +55,9 @@ def strip(executable: bytes) -> bytes:
     Raises `ValueError` where it is not laid out as expected.
     """
     head, body = _split(executable)
-    return head + edit_fields(body, lambda n, v: _strip_code(_message(v)) if n == _CODE else v)
+    return head + edit_fields(
+        body, lambda n, v: _strip_code(_check_message(v)) if n == _CODE else v
+    )
 
 
 def find_targets(executable: bytes) -> set[str]:
@@ -63,8 +65,8 @@ def find_targets(executable: bytes) -> set[str]:
 
     Raises `ValueError` where the executable is not laid out as expected.
     """
-    code = _one(_split(executable)[1], _CODE)
-    module = _one(_one(code, _MODULE), _PROGRAM)
+    code = _read_one(_split(executable)[1], _CODE)
+    module = _read_one(_read_one(code, _MODULE), _PROGRAM)
     return {
         target.decode()
         for computation in find_bytes(module, _COMPUTATIONS)
@@ -81,13 +83,13 @@ def _split(executable: bytes) -> tuple[bytes, bytes]:
     return executable[: at + length], executable[at + length :]
 
 
-def _message(value: Value) -> bytes:
+def _check_message(value: Value) -> bytes:
     if isinstance(value, int):
         raise ValueError("a number where a message was expected")
     return value
 
 
-def _one(message: bytes, number: int) -> bytes:
+def _read_one(message: bytes, number: int) -> bytes:
     found = find_bytes(message, number)
     if len(found) != 1:
         raise ValueError(f"expected one field {number}, got {len(found)}")
@@ -95,11 +97,11 @@ def _one(message: bytes, number: int) -> bytes:
 
 
 def _strip_code(code: bytes) -> bytes:
-    compiled = _find_kernels(_one(code, _THUNKS))
-    with_settings = _one(code, _MODULE)
-    module = _Module(_one(with_settings, _PROGRAM), compiled)
+    compiled = _find_kernels(_read_one(code, _THUNKS))
+    with_settings = _read_one(code, _MODULE)
+    module = _Module(_read_one(with_settings, _PROGRAM), compiled)
     small = edit_fields(with_settings, lambda n, v: module.write() if n == _PROGRAM else v)
-    buffers = _strip_buffers(_one(code, _BUFFERS), module.kept)
+    buffers = _strip_buffers(_read_one(code, _BUFFERS), module.kept)
     return edit_fields(code, lambda n, v: {_MODULE: small, _BUFFERS: buffers}.get(n, v))
 
 
@@ -109,9 +111,9 @@ def _find_kernels(sequence: bytes) -> set[bytes]:
     for thunk in find_bytes(sequence, _THUNK):
         for number, _, value in read_fields(thunk):
             if number == _KERNEL:
-                out.update(find_bytes(_one(thunk, _INFO), _OP_NAME))
+                out.update(find_bytes(_read_one(thunk, _INFO), _OP_NAME))
             for inner in _NESTED.get(number, ()):
-                for nested in find_bytes(_message(value), inner):
+                for nested in find_bytes(_check_message(value), inner):
                     out |= _find_kernels(nested)
     return out
 
@@ -142,7 +144,7 @@ class _Module:
 
         def edit(number: int, value: Value) -> Value | None:
             if number == _COMPUTATIONS:
-                return self.computations.get(find_one(_message(value), _NUMBER))
+                return self.computations.get(find_one(_check_message(value), _NUMBER))
             return None if number == _FRAMES else value
 
         return edit_fields(self.message, edit)
@@ -153,8 +155,8 @@ class _Module:
         def edit(number: int, value: Value) -> Value:
             if number != _INSTRUCTIONS:
                 return value
-            self.kept.add(find_one(_message(value), _ID))
-            return self._strip_instruction(_message(value), called)
+            self.kept.add(find_one(_check_message(value), _ID))
+            return self._strip_instruction(_check_message(value), called)
 
         return edit_fields(computation, edit)
 
@@ -183,16 +185,18 @@ def _strip_buffers(buffers: bytes, kept: set[int]) -> bytes:
     def edit(number: int, value: Value) -> Value | None:
         if number in (_HEAP, _PEAK):
             return None
-        message = _message(value)
-        if number == _LOGICAL and not stays(_one(message, _DEFINED)):
+        message = _check_message(value)
+        if number == _LOGICAL and not stays(_read_one(message, _DEFINED)):
             gone.add(find_one(message, 1))
             return None
-        if number == _ALIAS and (find_one(message, 1) in gone or not stays(_one(message, _PLACE))):
+        if number == _ALIAS and (
+            find_one(message, 1) in gone or not stays(_read_one(message, _PLACE))
+        ):
             return None
         return edit_fields(message, edit_allocation) if number == _ALLOCATION else value
 
     def edit_allocation(number: int, value: Value) -> Value | None:
-        return None if number == _ASSIGNED and find_one(_message(value), 1) in gone else value
+        return None if number == _ASSIGNED and find_one(_check_message(value), 1) in gone else value
 
     # Logical buffers come before what names them, as XLA writes them.
     gone: set[int] = set()
