@@ -16,7 +16,7 @@ from difffric.compute.arrays import follow_rule, uses_jax, where
 def sin_cos(x: Any) -> Any:
     """(sin x, cos x)."""
     if uses_jax(x):
-        return _written_out().sin_cos(x)
+        return _import_written_out().sin_cos(x)
     return follow_rule(lambda x: (np.sin(x), np.cos(x)), _turn, (x,))
 
 
@@ -28,7 +28,7 @@ def _turn(result, values, tangents):
 def angle(y: Any, x: Any) -> Any:
     """atan2(y, x), from -pi to pi; 0 at the origin."""
     if uses_jax(y, x):
-        return _written_out().angle(y, x)
+        return _import_written_out().angle(y, x)
     return follow_rule(lambda y, x: np.arctan2(y + 0.0, x + 0.0), _swing, (y, x))
 
 
@@ -42,16 +42,16 @@ def _swing(result, values, tangents):
 def log1p(x: Any) -> Any:
     """ln(1 + x) for x >= 0, infinity included."""
     if uses_jax(x):
-        return _written_out().log1p(x)
+        return _import_written_out().log1p(x)
     return follow_rule(np.log1p, lambda result, values, along: along[0] / (1.0 + values[0]), (x,))
 
 
 def quotient(x: Any, y: Any) -> Any:
     """x / y, whose derivative takes one more division, where JAX's own takes two."""
-    return _written_out().quotient(x, y) if uses_jax(x, y) else x / y
+    return _import_written_out().quotient(x, y) if uses_jax(x, y) else x / y
 
 
-def _written_out():
+def _import_written_out():
     from difffric.compute import written_out  # it imports JAX
 
     return written_out

@@ -47,7 +47,7 @@ def find_falling_root(
     """
     numbers = (*list_leaves(args), lo, hi, guess)
     if xp.uses_jax(*numbers):
-        return _ruled_search()(f, args, lo, hi, guess, rounds)
+        return _make_search()(f, args, lo, hi, guess, rounds)
     level = highest(numbers)
     if not level:
         lanes = np.broadcast_shapes(*map(np.shape, numbers))
@@ -87,7 +87,7 @@ def _search(f, args, lo, hi, guess, rounds):
 
 
 @cache
-def _ruled_search():
+def _make_search():
     """`_search` with the rule of its derivative as JAX has them."""
     import jax
     from jax.custom_derivatives import SymbolicZero

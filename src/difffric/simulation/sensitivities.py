@@ -8,7 +8,6 @@ push where it can (`columns`), along all directions at once; else a compiled pro
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -16,6 +15,7 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from difffric.compute import pytrees
+from difffric.compute.program_cache import cache_program
 from difffric.compute.number_tree import is_traced
 from difffric.errors import InputError
 from difffric.rig import parameters
@@ -70,7 +70,7 @@ def sensitivity(
     # One small program, called for each parameter: it compiles and loads in less time.
     at = tuple(jnp.asarray(x, float) for x in numbers)
     directions = [_point_along(at, k) for k in range(len(names))]
-    rig, program = pytrees.as_arrays(rig), _compiled()
+    rig, program = pytrees.as_arrays(rig), _differentiate_compiled
     dF, dd, seen = zip(*(program(rig, at, d, integrator) for d in directions), strict=True)
     return Sensitivity(seen[-1], _name(names, dF), _name(names, dd))
 
@@ -131,12 +131,7 @@ def _differentiate(
     return dF, jnp.where(jnp.isnan(seen.sliding_distance), jnp.nan, dd), seen
 
 
-@cache
-def _compiled() -> Any:
-    """The compiled `_differentiate`; JAX comes with it."""
-    from difffric.compute.program_cache import cache_program
-
-    return cache_program(_differentiate)
+_differentiate_compiled = cache_program(_differentiate)
 
 
 class Margin(NamedTuple):
@@ -196,7 +191,7 @@ def _kinds_by_mu_s(
     names = parameters.names(rig)
     values = {**parameters.values(rig), VELOCITY: velocity}
     at = tuple(jnp.asarray(x, float) for x in values.values())
-    rig, place, program = pytrees.as_arrays(rig), names.index("mu_s"), _compiled()
+    rig, place, program = pytrees.as_arrays(rig), names.index("mu_s"), _differentiate_compiled
     nowhere = tuple(jnp.zeros_like(x) for x in at)
 
     def kind(mu_s: float) -> int:
