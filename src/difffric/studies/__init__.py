@@ -5,8 +5,8 @@
 - `sampling` says what a sampling rate costs, by samples of an exact push.
 - `centering_runs` centres many hidden rings on simulated machines; `other_centering` has the other
   ways that it compares with.
-- `first_runs` does the work of the commands on simulated pushes, so that their programs are compiled
-  beforehand. `difffric warm` prints what was made.
+- `first_runs` does the work of the commands on simulated pushes, so that their programs are
+  compiled beforehand. `difffric warm` prints what was made.
 - `simulated_rig` puts a set-up's rig in front of a simulated card.
 
 A study takes its set-up by argument and returns numbers; what tells them to a person stands in
