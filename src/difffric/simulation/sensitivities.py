@@ -11,12 +11,11 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from difffric.compute import pytrees
-from difffric.compute.program_cache import cache_program
 from difffric.compute.number_tree import is_traced
+from difffric.compute.program_cache import cache_program
 from difffric.errors import InputError
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
@@ -25,7 +24,7 @@ from difffric.simulation.observables import Observables, observe
 from difffric.simulation.segments import Integrator
 
 if TYPE_CHECKING:
-    from jaxtyping import Array, ArrayLike
+    from jaxtyping import Array, ArrayLike, Float, Int
 
 NEAR_EDGE = 1e-3
 """A margin below this makes derivatives one-sided in the answer."""
