@@ -29,7 +29,8 @@ COMMANDS = {
 }
 """Each on the examples; a path without a folder is below the other commands' outputs."""
 ELSEWHERE = {"diagnose", "paper"}
-"""They take long, and are looked at where they are run anyway: test_procedure.py, test_paper.py."""
+"""They take long, and are looked at where they are run anyway, in test_procedure_tables.py and
+test_paper.py."""
 ALARM = 3  # monitor's exit status where it raises one, as it does on the example
 BAD = """
 <!doctype html><meta charset="utf-8"><title>bad</title>
