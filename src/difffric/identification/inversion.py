@@ -126,7 +126,7 @@ def _invert(
     if len(rootless):
         least_most = _find_ends(models.pick(rootless), by_force[rootless], bracket)
         ends = dict(zip(rootless.tolist(), zip(*least_most, strict=True), strict=True))
-    names = [QUANTITIES[0] if force else QUANTITIES[1] for force in by_force]
+    names: list[Quantity] = [QUANTITIES[0] if force else QUANTITIES[1] for force in by_force]
     answers = [Inversion(None, reason=f"no {_NAMES[name]} was measured") for name in names]
     for i, own in zip(index.tolist(), roots, strict=True):
         answers[i] = judge_roots(own, float(target[i]), names[i], bracket, ends.get(i))

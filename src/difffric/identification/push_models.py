@@ -92,6 +92,15 @@ class PushModels(NumberTree):
             return BothAt(*self.call_in_chunks(observe_chunk, mu_s))
         return _observe_columns(self, mu_s)
 
+    def observe_values_at(self, mu_s: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+        """F_p [N], d [m] and the kind, each push at its own mu_s (n,)."""
+        if self.compiled:  # the program that gives derivatives too serves again
+            found = self.observe_at(mu_s)
+            return *found.values, found.kind
+        seen = observe_columns(parameters.with_values(self.rigs, {"mu_s": mu_s}), self.velocity)
+        F, d, kind = map(np.asarray, (seen.peak_force, seen.sliding_distance, seen.kind))
+        return F, d, kind
+
     def call_in_chunks(self, function: Callable[..., Any], *arrays: Any) -> Any:
         """A compiled function of models and more trees of as many entries, called in chunks of a
         fixed size, the last one filled up, so that one program serves all batches."""
@@ -169,5 +178,5 @@ def differentiate_models(
 def compute_range_ratio(models: PushModels, mu_s: NDArray) -> float:
     """Delta F / Delta d of equation (7) [N/m]: the ratio of the ranges of F_p and d over pushes,
     each at its own mu_s (n,)."""
-    F, d = models.observe_at(mu_s).values
+    F, d, _ = models.observe_values_at(mu_s)
     return float(np.ptp(F) / (np.nanmax(d) - np.nanmin(d)))

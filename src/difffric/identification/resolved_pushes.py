@@ -196,8 +196,8 @@ class ResolvedPushes:
         models = self.models.pick(np.repeat(np.arange(n), 3))
         if self.names:
             gradient, regime = differentiate_models(models, points, self.names)
-        else:  # the program that has looked for the roots serves again
-            gradient, regime = np.empty(0), regime_of(models.observe_at(points).kind)
+        else:
+            gradient, regime = np.empty(0), regime_of(models.observe_values_at(points)[2])
         gradient = np.asarray(gradient).reshape(n, 3, 2, k)
         regime = np.asarray(regime).reshape(n, 3)[:, 2]
         names = [Regime(int(r)).word if has else None for r, has in zip(regime, known, strict=True)]

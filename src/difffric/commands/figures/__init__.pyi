@@ -3,6 +3,8 @@ from . import diagnose as diagnose
 from . import fit as fit
 from . import fleet as fleet
 from . import fleet_diagnosis as fleet_diagnosis
+from . import friction_of_pushes as friction_of_pushes
+from . import identify as identify
 from . import monitor as monitor
 from . import paper as paper
 from . import plan as plan

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
 
 import matplotlib
 import numpy as np
@@ -13,27 +12,9 @@ from numpy.typing import NDArray
 from difffric.calibration.data_comparison import PushComparison, TraceComparison, simulate_condition
 from difffric.calibration.profiles import Profile
 from difffric.calibration.result import Fit
-from difffric.commands.figures.style import MARKERS, STYLE, choose_colours, make_figure
-from difffric.identification.estimates import WAYS, Identified
+from difffric.commands.figures.friction_of_pushes import draw_friction_of_pushes
+from difffric.commands.figures.style import STYLE, group_by_condition, make_figure
 from difffric.units import to_mm_min, to_um
-
-_TITLES = {
-    "mu_s_force": "from the force",
-    "mu_s_distance": "from the distance",
-    "mu_s_weighted": "by equation (7)",
-    "mu_s_optimal": "optimal combination",
-    "mu_s_slide": "from the free slide",
-    "mu_s_trace": "from the whole recording",
-}
-
-
-def _groups(conditions: Sequence[str]) -> list[tuple[str, NDArray, str, str]]:
-    """(condition, mask, colour, marker), an entry a condition."""
-    colours = choose_colours(conditions)
-    return [
-        (c, np.array([x == c for x in conditions]), colour, MARKERS[i % len(MARKERS)])
-        for i, (c, colour) in enumerate(colours.items())
-    ]
 
 
 def draw_pushes(fit: Fit, beside: PushComparison) -> Figure:
@@ -54,7 +35,7 @@ def draw_pushes(fit: Fit, beside: PushComparison) -> Figure:
             squeeze=False,
             height_ratios=(3, 1.3),
         )
-        for condition, mine, colour, marker in _groups(fit.conditions):
+        for condition, mine, colour, marker in group_by_condition(fit.conditions):
             curves = simulate_condition(fit, condition, speeds)
             for ax, j in zip(axes[0], panels, strict=True):
                 name = condition or "measured"
@@ -103,37 +84,13 @@ def draw_pushes(fit: Fit, beside: PushComparison) -> Figure:
 
 def draw_own_friction(fit: Fit, order: NDArray) -> Figure:
     """Draw each push's own mu_s over the order (n,) of the pushes, and the scatter about means."""
-    with matplotlib.rc_context(STYLE):
-        figure, ax = make_figure(width=7.6, height=3.8)
-        for condition, mine, colour, marker in _groups(fit.conditions):
-            label = f"mu_s[{condition}]" if f"mu_s[{condition}]" in fit.free else "mu_s"
-            if label in fit.free:
-                _scatter_band(ax, order[mine], fit.value(label), fit.scatter, colour)
-            ax.errorbar(
-                order[mine],
-                fit.mu_s[mine],
-                fit.mu_s_se[mine],
-                fmt=marker,
-                color=colour,
-                ms=5,
-                mfc="none",
-                lw=1,
-                capsize=2,
-                label=condition or "each push",
-            )
-        ax.plot([], [], color="#666", lw=6, alpha=0.3, label="mean ± scatter")
-        ax.set_xlabel("order of the pushes")
-        ax.set_ylabel(r"$\mu_s$ of each push")
-        ax.xaxis.get_major_locator().set_params(integer=True)
-        ax.legend(fontsize=8, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-    return figure
-
-
-def _scatter_band(ax, x, mean, scatter, colour) -> None:
-    ends = np.array([x.min() - 0.4, x.max() + 0.4])
-    ax.plot(ends, [mean, mean], color=colour, lw=0.8)
-    ax.fill_between(
-        ends, mean * (1 - scatter), mean * (1 + scatter), color=colour, alpha=0.15, lw=0
+    means = {}
+    for condition in fit.conditions:
+        label = f"mu_s[{condition}]" if f"mu_s[{condition}]" in fit.free else "mu_s"
+        if label in fit.free:
+            means[condition] = (fit.value(label), fit.scatter)
+    return draw_friction_of_pushes(
+        fit.conditions, order, fit.mu_s, fit.mu_s_se, means, "mean ± scatter"
     )
 
 
@@ -299,89 +256,3 @@ def _profile(ax, one: Profile, sigma: float | None) -> None:
     ax.set_xlim(low - room, high + room)
     ax.ticklabel_format(axis="x", useOffset=False)
     ax.locator_params(axis="x", nbins=4)
-
-
-def draw_identified(found: Identified, velocity: NDArray) -> Figure:
-    """Draw mu_s of each push over its speed (n,) [m/s], a panel for each way to it."""
-    ways = [way for way in WAYS if np.isfinite(found.values(way)).any()] or ["mu_s_optimal"]
-    v = to_mm_min(velocity)
-    best = np.array([np.nan if p.best.value is None else p.best.value for p in found])
-    with matplotlib.rc_context(STYLE):
-        columns = 2 if len(ways) == 4 else min(len(ways), 3)
-        rows = -(-len(ways) // columns)
-        figure, axes = make_figure(
-            columns,
-            3.5 * columns + 0.6,
-            3.0 * rows,
-            rows=rows,
-            squeeze=False,
-            sharey=True,
-            sharex=True,
-        )
-        conditions = [p.condition for p in found]
-        for condition, mine, colour, marker in _groups(conditions):
-            for ax, way in zip(axes.flat, ways, strict=False):
-                if np.isfinite(best[mine]).any():
-                    ax.axhline(np.nanmean(best[mine]), color=colour, lw=0.8, ls=":")
-                error = np.nan_to_num(found.standard_errors(way)[mine])
-                ax.errorbar(
-                    v[mine],
-                    found.values(way)[mine],
-                    error,
-                    fmt=marker,
-                    color=colour,
-                    ms=5,
-                    mfc="none",
-                    lw=1,
-                    capsize=2,
-                    label=condition or "each push",
-                )
-        for ax, way in zip(axes.flat, ways, strict=False):
-            ax.set_title(_TITLES[way], fontsize=10)
-        known = np.concatenate([found.values(way) for way in ways])
-        known = known[np.isfinite(known)]
-        if len(known):  # a vague estimate's bar may leave the panel
-            room = 0.2 * np.ptp(known) or 0.1 * known.max()
-            axes[0, 0].set_ylim(known.min() - room, known.max() + room)
-        for ax in axes.flat[len(ways) :]:
-            ax.set_visible(False)
-        slides = all(np.isnan(p.velocity) for p in found)
-        for ax in axes.flat[max(0, len(ways) - columns) : len(ways)]:  # the last of each column
-            ax.set_xlabel("release speed [mm/min]" if slides else "pusher speed v [mm/min]")
-            ax.tick_params(labelbottom=True)
-        for ax in axes[:, 0]:
-            ax.set_ylabel(r"$\mu_s$")
-        if any(conditions):
-            axes[0, 0].legend(fontsize=8)
-    return figure
-
-
-def draw_best_estimates(found: Identified, order: NDArray, summary: Mapping[str, Any]) -> Figure:
-    """Draw the best mu_s of each push over the order (n,) of the pushes, and the means."""
-    with matplotlib.rc_context(STYLE):
-        figure, ax = make_figure(width=7.6, height=3.8)
-        conditions = [p.condition for p in found]
-        value = np.array([np.nan if p.best.value is None else p.best.value for p in found])
-        error = np.array([p.best.standard_error or 0.0 for p in found])
-        for condition, mine, colour, marker in _groups(conditions):
-            of = summary.get(condition)
-            if of is not None and of["mean"] is not None:
-                _scatter_band(ax, order[mine], of["mean"], of["spread"] or 0.0, colour)
-            ax.errorbar(
-                order[mine],
-                value[mine],
-                error[mine],
-                fmt=marker,
-                color=colour,
-                ms=5,
-                mfc="none",
-                lw=1,
-                capsize=2,
-                label=condition or "each push",
-            )
-        ax.plot([], [], color="#666", lw=6, alpha=0.3, label="mean ± spread")
-        ax.set_xlabel("order of the pushes")
-        ax.set_ylabel(r"$\mu_s$ of each push")
-        ax.xaxis.get_major_locator().set_params(integer=True)
-        ax.legend(fontsize=8, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-    return figure

@@ -7,7 +7,9 @@ from itertools import cycle
 from typing import Any
 
 import matplotlib
+import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 COLOURS = {"DRY": "#b4532a", "OILY": "#1f6f8b"}
 """Of the paper's conditions: the same in every figure."""
@@ -32,6 +34,15 @@ def choose_colours(conditions: Sequence[str]) -> dict[str, str]:
     taken = {COLOURS[c] for c in names if c in COLOURS}
     others = cycle([c for c in _OTHERS if c not in taken])
     return {c: COLOURS[c] if c in COLOURS else next(others) for c in names}
+
+
+def group_by_condition(conditions: Sequence[str]) -> list[tuple[str, NDArray, str, str]]:
+    """Return (condition, mask (n,), colour, marker), an entry a condition of the n pushes."""
+    colours = choose_colours(conditions)
+    return [
+        (c, np.array([x == c for x in conditions]), colour, MARKERS[i % len(MARKERS)])
+        for i, (c, colour) in enumerate(colours.items())
+    ]
 
 
 def make_figure(

@@ -98,12 +98,12 @@ def report_friction(
                 "mu_s_ways",
                 "mu_s of each push by each way to it, one standard error; dotted: mean of the best "
                 "estimates.",
-                figures.fit.draw_identified(found, velocity),
+                figures.identify.draw_identified(found, velocity),
             ),
             Picture(
                 "mu_s",
                 "The best estimate of each push; shaded: mean ± spread of its condition.",
-                figures.fit.draw_best_estimates(found, order, answer["conditions"]),
+                figures.identify.draw_best_estimates(found, order, answer["conditions"]),
             ),
         ]
     text = (
