@@ -23,6 +23,7 @@ from difffric.measurements.reduction.release import find_release
 WITHOUT_CONTACT = "without contact: the force never rises above its noise"
 NEVER_RESTS = "never comes to rest within the recording"
 RESTS_IN_CONTACT = "rests in contact"
+_HELD = 1 << 18  # samples of a channel that are kept in memory while a push is reduced, 2 MB
 _SHORT = 1e-5  # a slide [m] so short that a small force at rest says more
 
 
@@ -83,6 +84,7 @@ def reduce_push(
 def _reduce(
     recording: Recording, noise_force: Noise | None, noise_position: Noise | None
 ) -> Reduced:
+    recording = replace(recording, force=_hold(recording.force), position=_hold(recording.position))
     force, position = recording.force, recording.position
     if force is not None and force.unit != "N":
         raise InputError(f"force is in {force.unit}, expected N")
@@ -98,6 +100,13 @@ def _reduce(
     if out.problem:
         reasons.append(out.problem)
     return replace(out, reason="; ".join(reasons))
+
+
+def _hold(channel: Channel | None) -> Channel | None:
+    """The channel in memory, where it is short: its parts are asked for some ten times."""
+    if channel is None or channel.n > _HELD:
+        return channel
+    return Channel.of(channel.samples, channel.dt, channel.start, channel.unit)
 
 
 def _with_rest(out: Reduced, recording: Recording, noise: Noise | None) -> Reduced:
