@@ -9,15 +9,12 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass, replace
 from importlib import resources
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.calibration.calibrate import Fit, fit
 from difffric.diagnosis.impossible_measurements import compute_lossless_bound
-from difffric.diagnosis.procedure import diagnose
-from difffric.diagnosis.verdict import Diagnosis
-from difffric.identification.estimators import PushFriction, identify
 from difffric.identification.surrogates import PUBLISHED_DISTANCE, PUBLISHED_FORCE, weigh_by_ranges
 from difffric.measurements.pushes import Pushes
 from difffric.progress import Tell, silent
@@ -25,6 +22,11 @@ from difffric.rig import parameters
 from difffric.rig.rig import Rig, spring_damper_rig
 from difffric.simulation.families import MU_S, SPEEDS_MM_MIN, Family, family
 from difffric.units import UM, from_mm, from_mm_min, to_mm, to_mm_min
+
+if TYPE_CHECKING:
+    from difffric.calibration.result import Fit
+    from difffric.diagnosis.verdict import Diagnosis
+    from difffric.identification.estimators import PushFriction
 
 CONDITIONS = ("DRY", "OILY")
 STROKES_MM = (1.0, 2.0, 5.0)
@@ -222,6 +224,11 @@ def study(progress: Tell = silent) -> Paper:
     Distances above the lossless bound are left out of the calibration: no k, b and k_v can give
     them, so they could only bend the three. The answer has a calibration with them, too.
     """
+    # They import JAX; the tables and the bound, which pictures ask for, need none.
+    from difffric.calibration.calibrate import fit
+    from difffric.diagnosis.procedure import diagnose
+    from difffric.identification.estimators import identify
+
     measured, rig = load_pushes(), guess_rig()
     impossible = measured.sliding_distance > bound_distance(measured)
     nothing = np.zeros(len(measured), bool)

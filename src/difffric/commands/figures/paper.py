@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import matplotlib
 import numpy as np
@@ -11,9 +12,11 @@ from matplotlib.figure import Figure
 from difffric.commands.figures.style import COLOURS, STYLE, make_figure
 from difffric.identification.surrogates import PUBLISHED_DISTANCE, PUBLISHED_FORCE
 from difffric.simulation.families import Family
-from difffric.simulation.trajectory import Trajectory
 from difffric.studies.paper import CONDITIONS, Paper, bound_distance
 from difffric.units import to_mm, to_mm_min, to_um
+
+if TYPE_CHECKING:
+    from difffric.simulation.trajectory import Trajectory  # it imports JAX
 
 _MARKERS = {"DRY": "o", "OILY": "s"}
 
