@@ -10,12 +10,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-import jax
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from difffric.compute.precision import require_float64
+from difffric.compute.pytrees import map_tree
 from difffric.estimation.push_rigs import make_push_rigs
 from difffric.identification.combination import Combination, combine
 from difffric.identification.free_slide import estimate_by_slides
@@ -43,21 +42,21 @@ SCHEMA = {
 """The columns, null where there is no value."""
 
 
-def identify_columns(parts: Sequence[tuple[Setup, Pushes]]) -> list[pl.DataFrame]:
-    """Identify the pushes of many rigs, each given as its set-up and its pushes.
+def identify_columns(
+    parts: Sequence[tuple[Setup, Pushes]], compiled: bool = False
+) -> list[pl.DataFrame]:
+    """Identify the pushes of many rigs, each given as its set-up and its pushes; by compiled
+    programs where it is said, or where NumPy does not serve (`PushModels`).
 
     Returns for each a table of the columns `SCHEMA`, a row a push. The pushes must be such as
     `check_data` lets pass.
-
-    Raises `InputError` where JAX is in 32-bit mode.
     """
-    require_float64()
     kinds: dict[tuple, list[int]] = {}
     for i, (setup, pushes) in enumerate(parts):
         kinds.setdefault((_find_kind(setup, pushes), pushes.free_slides), []).append(i)
     out: dict[int, pl.DataFrame] = {}
     for indices in kinds.values():
-        whole = _identify_kind([parts[i] for i in indices])
+        whole = _identify_kind([parts[i] for i in indices], compiled)
         start = 0
         for i in indices:
             out[i] = whole.slice(start, len(parts[i][1]))
@@ -70,13 +69,17 @@ def _find_kind(setup: Setup, pushes: Pushes) -> tuple:
     and the calibrated parameters."""
     rigs = make_push_rigs(setup.rig, pushes.select(slice(0, 1)) if len(pushes) else pushes)
     stroke = setup.rig.pusher.stroke is not None or bool(np.isfinite(pushes.stroke).any())
-    return jax.tree.structure(rigs), stroke, Calibration.read(setup).names
+    structure = map_tree(lambda number: 0.0, rigs)
+    return structure, stroke, Calibration.read(setup).names
 
 
-def _identify_kind(parts: Sequence[tuple[Setup, Pushes]]) -> pl.DataFrame:
+def _identify_kind(parts: Sequence[tuple[Setup, Pushes]], compiled: bool) -> pl.DataFrame:
     """Identify the pushes of rigs of one kind, in one table, one rig's after the other's."""
     resolved = ResolvedPushes.join(
-        [ResolvedPushes.of(Calibration.read(setup), pushes) for setup, pushes in parts]
+        [
+            ResolvedPushes.of(Calibration.read(setup), pushes, compiled=compiled)
+            for setup, pushes in parts
+        ]
     )
     found = (
         _fill_nothing(len(resolved)) if resolved.pushes.free_slides else _estimate_by_push(resolved)

@@ -28,6 +28,7 @@ from difffric.fleet.archive import ArchiveFile, find_files
 from difffric.fleet.columns import identify_columns
 from difffric.fleet.features import MADE_WITH
 from difffric.fleet.workers import Lost, Runner, start_workers
+from difffric.identification.push_models import are_many
 from difffric.output_folder import open_folder
 from difffric.progress import Tell, silent
 from difffric.rig.setup import Setup
@@ -215,6 +216,9 @@ class _Part:
     rig: str
     setup: Setup
     table: pl.DataFrame
+    compiled: bool
+    """whether compiled programs serve: decided for the archive as a whole, so that an answer does
+    not depend on what is identified together"""
 
 
 def _identify_all(table, rig_of, setups, out: Path, run: Runner, tell: Tell) -> int:
@@ -241,7 +245,8 @@ def _identify_all(table, rig_of, setups, out: Path, run: Runner, tell: Tell) -> 
                 piece = piece.drop("key", "skipped", "refused")
                 key = _make_key(piece, digest)
                 if _read_key(path) != key:
-                    yield _Part(str(path), key, str(rig), setup, piece)
+                    many = are_many(setup.rig, len(ordered))
+                    yield _Part(str(path), key, str(rig), setup, piece, many)
 
     made = done = 0
     for some, result in run(_identify, _pack(missing())):
@@ -268,8 +273,14 @@ def _pack(parts: Iterable[_Part]) -> Iterator[list[_Part]]:
 
 def _identify(parts: list[_Part]) -> None:
     """Do a task of the second stage: identify the pushes and write each part."""
-    found = identify_columns([(part.setup, features.to_pushes(part.table)) for part in parts])
-    for part, columns in zip(parts, found, strict=True):
+    for compiled in (False, True):
+        _identify_parts([part for part in parts if part.compiled == compiled], compiled)
+
+
+def _identify_parts(parts: list[_Part], compiled: bool) -> None:
+    """Identify the pushes of some parts by one way of computing, and write each."""
+    given = [(part.setup, features.to_pushes(part.table)) for part in parts]
+    for part, columns in zip(parts, identify_columns(given, compiled), strict=True):
         whole = pl.concat([part.table, columns], how="horizontal")
         whole = whole.select("rig", "date", pl.exclude("rig", "date")).rechunk()
         Path(part.path).parent.mkdir(parents=True, exist_ok=True)

@@ -32,8 +32,14 @@ QUANTITIES: tuple[Quantity, ...] = ("peak_force", "sliding_distance")
 _CHUNK = 256
 """Pushes that a program takes at a time, so that one program serves all batches: a larger one
 would make few pushes wait for many."""
-_FEW = 4096
-"""So many pushes are inverted by NumPy sooner than a program is loaded for them."""
+_FEW, _FEW_WITH_STROKE = 4096, 512
+"""So many pushes are inverted by NumPy sooner than a program is loaded for them. With a stroke each
+is first scanned over mu_s."""
+
+
+def are_many(rig: Rig, n: int) -> bool:
+    """Whether n pushes of such a rig are worth a compiled program."""
+    return n > (_FEW if rig.pusher.stroke is None else _FEW_WITH_STROKE)
 
 
 class BothAt(NamedTuple):
@@ -70,7 +76,7 @@ class PushModels(NumberTree):
         """The models of n pushes. Unless it is said, compiled programs are asked for many pushes,
         and where NumPy does not serve the rigs."""
         if compiled is None:
-            compiled = len(velocity) > _FEW
+            compiled = are_many(rigs, len(velocity))
         return cls(rigs, velocity, integrator, compiled or not serves(rigs, integrator))
 
     def __len__(self) -> int:

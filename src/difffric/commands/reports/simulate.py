@@ -13,7 +13,6 @@ from difffric.rig import parameters
 from difffric.rig.rig import Rig
 from difffric.simulation.events import Regime, explain
 from difffric.simulation.sensitivities import regime_margin, sensitivity
-from difffric.simulation.trajectory import simulate
 from difffric.units import from_mm_min, to_um
 
 
@@ -44,6 +43,8 @@ def describe_simulation(rig: Rig, velocity: float) -> dict:
 
 def draw_simulation(rig: Rig, velocity: float) -> list[Picture]:
     """Simulate the push once more, and draw its position and force over time."""
+    from difffric.simulation.trajectory import simulate  # here: JAX comes with it
+
     push = {"": simulate(rig, velocity)}
     return [
         Picture(
