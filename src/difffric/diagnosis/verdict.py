@@ -258,7 +258,7 @@ def measure_changes(task: EnsembleTask, plain: Fits, at: Fits, effect: str) -> t
     c[:, 0] = np.tile(at.mu[0, task.condition] + at.own[0], 2)
     c[task.n :, index] = plain.c[0, index]
     push = np.tile(np.arange(task.n), 2)
-    answers = task.model.answers(push, c, np.zeros((1, c.shape[1]))).model.reshape(2, task.n, 2)
+    answers = task.model.answers(push, c, np.zeros((0, c.shape[1]))).model.reshape(2, task.n, 2)
     with np.errstate(invalid="ignore", divide="ignore"):
         change = answers[0] / answers[1] - 1
     change = np.where(np.isfinite(change), change, 0.0)

@@ -18,6 +18,9 @@ from difffric.estimation.ensemble import EnsembleTask, Fits
 
 _STALE = 1.0
 """Standard deviations that a push's own mu_s may be off where a fit stands."""
+_NOTHING = 1e-6
+"""Share of a sum of squares, up to a sum of 1, that is not worth a step where steps have begun to
+fail: the model jumps there."""
 _SETTLING = 2
 """Times that it is brought closer."""
 _FAR = 0.5
@@ -69,13 +72,20 @@ def solve_within(
 def take_step(task: EnsembleTask, fits: Fits, damping: ArrayLike) -> Fits:
     """The fits after one damped Gauss-Newton step within the bounds; their answers are still those
     of before, so that `gram` is None."""
+    return _predict_step(task, fits, damping)[0]
+
+
+def _predict_step(task: EnsembleTask, fits: Fits, damping: ArrayLike) -> tuple[Fits, NDArray]:
+    """The fits after one damped Gauss-Newton step, and the fall of the sum of squares (m,) that
+    their linear models promise of it."""
     found = en.normal_equations(task, fits)
     now = _gather_point(task, fits)
     step = solve_within(found.H, found.g, now, *_find_limits(task, fits), damping)
     new = now + step
     weight = 1.0 / (found.z + 1.0 / fits.scatter[:, None] ** 2)
     own = -(found.gm + np.einsum("mnp,mp->mn", found.h, step)) * weight
-    return replace(_place_at(task, fits, new), own=own, gram=None)
+    gain = -np.einsum("mp,mp->m", step, 2 * found.g + np.einsum("mpq,mq->mp", found.H, step))
+    return replace(_place_at(task, fits, new), own=own, gram=None), gain
 
 
 def _settle_own(task: EnsembleTask, fits: Fits, pushes: NDArray | None) -> Fits:
@@ -156,12 +166,15 @@ def refit(
         if not len(which):
             break
         at = fits.pick(which)
-        trial = _settle_own(task, take_step(task, at, damping[which]), pushes)
+        moved, promised = _predict_step(task, at, damping[which])
+        trial = _settle_own(task, moved, pushes)
         before, after = en.profile_cost(task, at), en.profile_cost(task, trial)
         better = after < before
-        gain = before - after
         damping[which] = np.where(better, np.maximum(damping[which] / 8, 1e-9), damping[which] * 8)
-        done = (better & (gain < tol)) | (damping[which] > 1e6)
+        # Where a step that promises so little fails, shorter ones promise less.
+        least = np.where(better, tol, np.clip(_NOTHING * before, tol, 1.0))
+        done = np.where(better, before - after, promised) < least
+        done |= damping[which] > 1e6
         if better.any():
             good = en.estimate_scatters(task, trial.pick(np.flatnonzero(better)))
             fits = replace_fits(fits, which[better], good)
@@ -231,7 +244,7 @@ def _sum_squares_at(
     N, values = own.shape
     rows = np.repeat(c, values, axis=0)
     rows[:, 0] = (mu[:, None] + own).ravel()
-    found = task.model.answers(np.repeat(i, values), rows, np.zeros((1, rows.shape[1])))
+    found = task.model.answers(np.repeat(i, values), rows, np.zeros((0, rows.shape[1])))
     spread = np.repeat(fits.spread[j], values, axis=0)
     squares = np.einsum("nk,nk->n", found.gram[:, :, -1, -1], 1.0 / spread**2)
     return np.where(np.isfinite(squares), squares, np.inf).reshape(N, values)

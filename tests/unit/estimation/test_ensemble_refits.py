@@ -1,0 +1,57 @@
+"""How fits of an ensemble move, and when they rest."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from difffric.estimation import ensemble, ensemble_refits
+from difffric.estimation.ensemble import EnsembleTask, Fits
+
+
+class _JumpingModel:
+    """Two pushes whose residual falls linearly with the second coordinate, and jumps to a high
+    level before it is zero: no step beyond the jump is better, however short."""
+
+    coordinates = SimpleNamespace(names=("mu_s", "x"), bounds=lambda name: (-np.inf, np.inf))
+    edge = 0.9
+
+    def __init__(self):
+        self.calls = 0
+
+    def answers(self, index, c, directions):
+        self.calls += 1
+        J = -np.broadcast_to(directions, (len(c), *directions.shape[-2:]))[:, :, 1]
+        r = np.where(c[:, 1] < self.edge, 1.0 - c[:, 1], 50.0)
+        A = np.concatenate([J, r[:, None]], axis=1)
+        gram = np.zeros((len(c), 2, A.shape[1], A.shape[1]))
+        gram[:, 0] = A[:, :, None] * A[:, None, :]
+        return SimpleNamespace(gram=gram, residual=np.zeros((len(c), 2, 1)), model=None)
+
+
+def _start(model: _JumpingModel, x: float) -> tuple[EnsembleTask, Fits]:
+    task = EnsembleTask(
+        model,  # type: ignore[arg-type]
+        shared=(1,),
+        condition=np.zeros(2, int),
+        mu_free=False,
+        estimate_scatter=False,
+    )
+    nothing = np.zeros((1, 2))
+    at = Fits(((),), np.array([[0.0, x]]), np.zeros((1, 1)), nothing, np.ones(1), np.ones((1, 2)))
+    return task, ensemble.evaluate(task, at)
+
+
+def test_a_fit_rests_where_the_model_jumps_and_a_step_promises_nothing():
+    model = _JumpingModel()
+    task, at = _start(model, 0.85)
+    model.calls = 0
+    fits = ensemble_refits.refit(task, at, 40, tol=0.05)
+    assert fits.c[0, 1] == 0.85
+    assert model.calls <= 2
+
+
+def test_a_fit_that_is_promised_more_goes_on_in_shorter_steps():
+    model = _JumpingModel()
+    task, at = _start(model, 0.0)
+    fits = ensemble_refits.refit(task, at, 40, tol=0.05)
+    assert 0.5 < fits.c[0, 1] < model.edge

@@ -1,0 +1,60 @@
+"""What the programs of extended models answer, and how little of it they compute."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import difffric as df
+from difffric.diagnosis.data import prepare_data
+from difffric.estimation import extended_model
+from difffric.estimation.block_means import UnevenBlocks
+from difffric.measurements.pushes import Pushes
+
+
+def test_values_alone_are_those_that_come_with_derivatives():
+    n = 40  # more than one batch of either program
+    v = np.linspace(0.05, 0.5, n)
+    slides = Pushes(release_velocity=v, sliding_distance=0.4 * v**2)
+    rig = df.spring_damper_rig(mass=18.9, mu_s=0.141, k=8.0e5, b=1500.0, k_v=5.0)
+    model = prepare_data(rig, slides, None, np.full((n, 2), 1e-5)).task.model
+    rng = np.random.default_rng(1)
+    c = 0.01 * rng.normal(size=(n, len(model.coordinates.names)))
+    c[:, 0] += np.log(0.141)
+    index = rng.permutation(n)
+    rows = np.eye(c.shape[1])[:3]
+    values, both = (model.answers(index, c, given) for given in (rows[:0], rows))
+    assert values.gram.shape == (n, 2, 1, 1)
+    np.testing.assert_allclose(values.model[:, 1], both.model[:, 1], rtol=1e-13)
+    np.testing.assert_allclose(values.residual, both.residual, rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(values.gram[..., 0, 0], both.gram[..., -1, -1], rtol=1e-10)
+
+
+class _Line(NamedTuple):
+    """Stands for a path: what it reads is linear in time."""
+
+    slope: jax.Array
+
+    def read(self, t_force, t_position):
+        return self.slope * t_force, 2 * self.slope * t_position
+
+
+def test_instants_that_no_block_asks_for_are_not_read():
+    chunk = extended_model.CHUNK
+    e, used = 4 * chunk, chunk + 3
+    t = np.linspace(1.0, 2.0, e)
+    none = np.zeros(5)
+    second = np.array([3, used, 7, 0, 0])
+    blocks = UnevenBlocks(t, second - 1, second, none, none, none, np.asarray(5.0))
+    two = jax.tree.map(lambda x: np.stack([x, x]), blocks)
+
+    def read(slope):
+        return extended_model._read_in_chunks(_Line(slope), two, two)
+
+    slope = jnp.array([1.0, -3.0])
+    (f, x), (df_, _) = jax.jvp(read, (slope,), (jnp.ones(2),))
+    np.testing.assert_allclose(f[:, : used + 1], np.outer(slope, t[: used + 1]))
+    np.testing.assert_allclose(x, 2 * f)
+    np.testing.assert_allclose(df_[0], f[0])
+    assert np.all(f[:, 2 * chunk :] == 0) and used < 2 * chunk
