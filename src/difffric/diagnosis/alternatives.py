@@ -36,42 +36,58 @@ def find_alternatives(
     mine = task.model.coordinates.indices(numbers_of(cause.effect))
     if not set(mine) <= set(base.extra[0]):  # a ratio, free in the plain model too
         return []
-    before, out = float(ensemble.criterion(task, base)[0]), []
-    for effect in others:
-        index = task.model.coordinates.indices(numbers_of(effect))
-        if len(index) > 1 or set(index) <= set(base.extra[0]):
-            continue
-        share, step = _measure_overlap(task, plain, base, mine, index)
+    coordinates = task.model.coordinates
+    index = {effect: coordinates.indices(numbers_of(effect)) for effect in others}
+    # All of one number: they are evaluated, and fitted, together.
+    single = {e: i[0] for e, i in index.items() if len(i) == 1 and i[0] not in base.extra[0]}
+    overlaps = _measure_overlaps(task, plain, base, mine, list(single.values()))
+    names, at = [], []
+    for (effect, i), (share, step) in zip(single.items(), overlaps, strict=True):
         if share < _PARALLEL:
             continue
         c = base.c.copy()
-        c[0, mine], c[0, index] = plain.c[0, mine], plain.c[0, index] + step
-        low, high = task.model.coordinates.bounds(task.model.coordinates.names[index[0]])
-        c[0, index] = np.clip(c[0, index], low, high)
-        extra = (*(i for i in base.extra[0] if i not in mine), *index)
-        at = replace(base, extra=(extra,), c=c, gram=None, residual=None, damping=None)
-        at = ensemble_refits.refit(task, at, _ROUNDS)
-        drop = cause.drop + before - float(ensemble.criterion(task, at)[0])
-        penalised = drop - len(index) * task.price
-        out.append(
-            replace(
-                cause, effect=effect, fits=at, drop=drop, predicted=0.0, penalised_drop=penalised
-            )
+        c[0, mine] = plain.c[0, mine]
+        c[0, i] = np.clip(plain.c[0, i] + step, *coordinates.bounds(coordinates.names[i]))
+        extra = (*(x for x in base.extra[0] if x not in mine), i)
+        at.append(replace(base, extra=(extra,), c=c, gram=None, residual=None, damping=None))
+        names.append(effect)
+    if not names:
+        return []
+    fits = ensemble_refits.refit(task, ensemble.join(*at), _ROUNDS)
+    drops = cause.drop + ensemble.criterion(task, base) - ensemble.criterion(task, fits)
+    return [
+        replace(
+            cause,
+            effect=effect,
+            fits=fits.pick(j),
+            drop=float(drops[j]),
+            predicted=0.0,
+            penalised_drop=float(drops[j]) - task.price,
         )
-    return out
+        for j, effect in enumerate(names)
+    ]
 
 
-def _measure_overlap(
-    task: EnsembleTask, plain: Fits, base: Fits, mine: list[int], index: list[int]
-) -> tuple[float, NDArray]:
-    """Return the share of the information on the coordinates `index` of an effect that the cause's
-    coordinates `mine` take, all else projected out; and the effect's size that does what the cause
-    does."""
-    at = step_off_null(task, replace(base, extra=((*base.extra[0], *index),)))
-    H = ensemble.normal_equations(task, ensemble.evaluate(task, at)).H[0]
+def _measure_overlaps(
+    task: EnsembleTask, plain: Fits, base: Fits, mine: list[int], others: Sequence[int]
+) -> list[tuple[float, float]]:
+    """Return for each of the coordinates `others`, each an effect's, the share of the information
+    on it that the cause's coordinates `mine` take, all else projected out; and the effect's size
+    that does what the cause does."""
+    if not others:
+        return []
+    at = [step_off_null(task, replace(base, extra=((*base.extra[0], i),))) for i in others]
+    fits = ensemble.evaluate(task, ensemble.join(*at))
     known = task.conditions + len(task.shared)
     a = known + np.array([base.extra[0].index(i) for i in mine])
-    b = known + len(base.extra[0]) + np.arange(len(index))
+    b = np.array([known + len(base.extra[0])])
+    moved = base.c[0, mine] - plain.c[0, mine]
+    return [_project_out(H, a, b, moved) for H in ensemble.normal_equations(task, fits).H]
+
+
+def _project_out(H: NDArray, a: NDArray, b: NDArray, moved: NDArray) -> tuple[float, float]:
+    """Return the share of the information on column b (1,) of normal equations H that the columns
+    a take, all else projected out, and the step of b that does what `moved` of a does."""
     rest = np.setdiff1d(np.arange(len(H)), [*a, *b])
     scale = np.sqrt(np.maximum(np.diag(H), 1e-12))
     H = H / np.outer(scale, scale)
@@ -80,7 +96,7 @@ def _measure_overlap(
     k = len(a)
     cross, own = S[:k, k:], S[k:, k:]
     if own[0, 0] < 1e-10:
-        return 0.0, np.zeros(len(b))
+        return 0.0, 0.0
     share = cross.T @ np.linalg.pinv(S[:k, :k]) @ cross / own
-    moved = (base.c[0, mine] - plain.c[0, mine]) * scale[a]
-    return float(share[0, 0]), (cross.T @ moved / own[0, 0]) / scale[b]
+    step = cross.T @ (moved * scale[a]) / own[0, 0] / scale[b]
+    return float(share[0, 0]), float(step[0])

@@ -259,16 +259,19 @@ def _plan_experiments(
         for other in one.others
         if other.effect in one.alike
     ]
-    coordinates = task.model.coordinates
-    for effect in [e for e in unseen if e not in found.data.impossible]:
+    coordinates, there = task.model.coordinates, []
+    effects = [e for e in unseen if e not in found.data.impossible]
+    for effect in effects:
         c = extended.c.copy()
         names = numbers_of(effect)
         typical = {n: _TYPICAL_RATIO if effect == RATIO else KEYS[n][1].typical for n in names}
         c[0, coordinates.indices(names)] = coordinates.point(typical)
+        there.append(replace(extended, c=c, gram=None, residual=None, damping=None))
+    if there:
         # As large as is typical, and hidden in these data by what else is free.
-        there = replace(extended, c=c, gram=None, residual=None, damping=None)
-        hidden = ensemble_refits.refit(task, there, _HIDING)
-        pairs.append(Pair((effect, "plain"), hidden, extended))
+        hidden = ensemble_refits.refit(task, ensemble.join(*there), _HIDING)
+        models = ((effect, hidden.pick(j)) for j, effect in enumerate(effects))
+        pairs += [Pair((effect, "plain"), one, extended) for effect, one in models]
     return plan_experiments(found.data, pairs)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ class CrossValidation:
     task: EnsembleTask
     folds: NDArray
     """(n,) numbers of the folds"""
+    known: dict[tuple, ensemble_refits.HeldOut] = field(default_factory=dict, repr=False)
+    """what was predicted already, by all that says where the fits stand"""
 
     @property
     def single(self) -> bool:
@@ -30,7 +32,7 @@ class CrossValidation:
 
     def measure_surprise(self, fits: Fits) -> float:
         """Return -2 log likelihood of the held-out pushes under `fits` (an ensemble of one)."""
-        return float(ensemble_refits.predict_held_out(self.task, fits, self.folds).surprise.sum())
+        return float(self._predict(fits).surprise.sum())
 
     def is_better(self, new: Fits, base: Fits) -> bool:
         """Whether `new` predicts held-out pushes better than `base`, with `new`'s spreads."""
@@ -43,13 +45,19 @@ class CrossValidation:
         would fit, as a free slide's, is judged in units of the plain model's scatter of mu_s,
         `plain_scatter` (1,).
         """
-        found = ensemble_refits.predict_held_out(
-            self.task, replace(fits, spread=spread), self.folds
-        )
+        found = self._predict(replace(fits, spread=spread))
         if not self.single:
             return found.squares
-        plain = replace(fits, scatter=plain_scatter)
-        return ensemble_refits.predict_held_out(self.task, plain, self.folds).penalised
+        return self._predict(replace(fits, scatter=plain_scatter)).penalised
+
+    def _predict(self, fits: Fits) -> ensemble_refits.HeldOut:
+        """Return what fits say of the held-out pushes: the same fits are asked about again and
+        again."""
+        where = (fits.c, fits.mu, fits.own, fits.scatter, fits.spread, fits.gram)
+        key = (fits.extra, *(np.asarray(x).tobytes() for x in where))
+        if key not in self.known:
+            self.known[key] = ensemble_refits.predict_held_out(self.task, fits, self.folds)
+        return self.known[key]
 
 
 def assign_folds(velocity: NDArray, by_speed: bool) -> NDArray:

@@ -2,7 +2,7 @@
 
 An effect at its null is the plain model. The derivative of the answers by the effect's number,
 with all that is free already projected out, says to first order by how much -2 log likelihood
-would drop and at which size of the effect (Rao's score test). One evaluation serves many effects.
+would drop and at which size of the effect (Rao's score test). One evaluation serves all effects.
 """
 
 from __future__ import annotations
@@ -45,8 +45,13 @@ def run_score_tests(task: EnsembleTask, base: Fits, effects: Sequence[str]) -> d
     """Test each effect that has a derivative at its null on top of `base` (an ensemble of one)."""
     found: dict[str, Score] = {}
     testable = [effect for effect in effects if effect in SMOOTH_AT_NULL]
-    for group in _split_into_groups(task, base, testable):
-        found |= _test_group(task, base, group)
+    groups = _split_into_groups(task, base, testable)
+    if not groups:
+        return found
+    fits = ensemble.evaluate(task, ensemble.join(*(_free(task, base, x) for x in groups)))
+    equations = ensemble.normal_equations(task, fits)
+    for j, group in enumerate(groups):
+        found |= _test_group(task, base, fits.c[j], (equations.H[j], equations.g[j]), group)
     return found
 
 
@@ -63,14 +68,24 @@ def _split_into_groups(task: EnsembleTask, base: Fits, effects: Sequence[str]) -
     return groups
 
 
-def _test_group(task: EnsembleTask, base: Fits, effects: Sequence[str]) -> dict[str, Score]:
-    """Test effects that share one evaluation of the answers and their derivatives."""
-    coordinates = task.model.coordinates
+def _free(task: EnsembleTask, base: Fits, effects: Sequence[str]) -> Fits:
+    """Return `base` with the numbers of effects free, where they have derivatives."""
+    indices = task.model.coordinates.indices
+    extra = (*base.extra[0], *(i for effect in effects for i in indices(numbers_of(effect))))
+    return step_off_null(task, replace(base, extra=(extra,)))
+
+
+def _test_group(
+    task: EnsembleTask,
+    base: Fits,
+    c: NDArray,
+    equations: tuple[NDArray, NDArray],
+    effects: Sequence[str],
+) -> dict[str, Score]:
+    """Test effects whose numbers are free together at the coordinates c (K,), by the normal
+    equations (H, g) there."""
+    coordinates, (H, g) = task.model.coordinates, equations
     index = [coordinates.indices(numbers_of(effect)) for effect in effects]
-    extra = (*base.extra[0], *(i for one in index for i in one))
-    at = ensemble.evaluate(task, step_off_null(task, replace(base, extra=(extra,))))
-    equations = ensemble.normal_equations(task, at)
-    H, g = equations.H[0], equations.g[0]
     first = known = task.conditions + len(task.shared) + len(base.extra[0])
     found: dict[str, Score] = {}
     for effect, own in zip(effects, index, strict=True):
@@ -86,7 +101,7 @@ def _test_group(task: EnsembleTask, base: Fits, effects: Sequence[str]) -> dict[
         if len(own) == 1:  # bounded at its null: what leads out of bounds explains nothing
             low, high = coordinates.bounds(coordinates.names[own[0]])
             drop *= low <= base.c[0, own[0]] + step[0] <= high
-        at_best = float(at.c[0, own[0]] + step[0])
+        at_best = float(c[own[0]] + step[0])
         found[effect] = Score(drop, float(np.sqrt(information)), at_best)
     return found
 

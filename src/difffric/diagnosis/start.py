@@ -144,9 +144,9 @@ def fit_plain_model(task: EnsembleTask, start: Fits, guess: Fits) -> Fits:
         again = ensemble_refits.rescan_loose_pushes(task, fits)
         return fits if again is fits else ensemble_refits.refit(task, again, _ROUNDS)
     level = replace(start, own=np.zeros_like(start.own))
-    every = [fits, *(ensemble_refits.refit(task, x, _ROUNDS) for x in (level, guess))]
-    best = min(every, key=lambda x: float(ensemble.criterion(task, x)[0]))
-    return _rescan_and_refit(task, best)
+    every = ensemble.join(fits, ensemble_refits.refit(task, ensemble.join(level, guess), _ROUNDS))
+    best = np.argmin(ensemble.criterion(task, every))
+    return _rescan_and_refit(task, every.pick(best))
 
 
 def find_better_base(
@@ -157,24 +157,30 @@ def find_better_base(
 
     What such a fit explains too was the failure of `base`, and not the effect's merit.
     """
-    before = float(ensemble.criterion(task, base)[0])
+    if not found:
+        return None
+    before, bare = float(ensemble.criterion(task, base)[0]), []
     for candidate in found[:2]:
         index = task.model.coordinates.indices(numbers_of(candidate.effect))
         c = candidate.fits.c.copy()
         c[0, index] = base.c[0, index]
-        bare = replace(candidate.fits, c=c, extra=base.extra, gram=None, damping=None)
-        bare = _rescan_and_refit(task, ensemble_refits.refit(task, bare, _ROUNDS))
-        worth = max(_BETTER, _SHARE * candidate.drop)
-        if float(ensemble.criterion(task, bare)[0]) < before - worth:
-            return bare
+        bare.append(replace(candidate.fits, c=c, extra=base.extra, gram=None, damping=None))
+    fits = ensemble_refits.refit(task, ensemble.join(*bare), _ROUNDS)
+    fits = _rescan_and_refit(task, fits)
+    after = ensemble.criterion(task, fits)
+    for j, candidate in enumerate(found[: fits.m]):
+        if after[j] < before - max(_BETTER, _SHARE * candidate.drop):
+            return fits.pick(j)
     return None
 
 
 def _rescan_and_refit(task: EnsembleTask, fits: Fits) -> Fits:
-    """Refit with each push's own mu_s looked for afresh, where that leads to a better fit."""
+    """Refit with each push's own mu_s looked for afresh, those fits for which that leads to a
+    better one."""
     again = ensemble_refits.rescan_bad_pushes(task, fits)
-    if again is fits:
+    moved = np.flatnonzero((again.own != fits.own).any(axis=1))
+    if not len(moved):
         return fits
-    again = ensemble_refits.refit(task, again, _ROUNDS)
-    better = float(ensemble.criterion(task, again)[0]) < float(ensemble.criterion(task, fits)[0])
-    return again if better else fits
+    again = ensemble_refits.refit(task, again.pick(moved), _ROUNDS)
+    better = ensemble.criterion(task, again) < ensemble.criterion(task, fits.pick(moved))
+    return ensemble_refits.replace_fits(fits, moved[better], again.pick(np.flatnonzero(better)))
