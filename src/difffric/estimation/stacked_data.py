@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -78,7 +77,7 @@ def pad(array: Any, n: int) -> Any:
     first entry up to the next multiple of `PADDING`."""
     whole = -(-n // PADDING) * PADDING
     index = np.concatenate([np.arange(n), np.zeros(whole - n, int)])
-    return jax.tree.map(lambda a: jnp.asarray(np.asarray(a)[index]), array)
+    return jax.tree.map(lambda a: np.asarray(a)[index], array)
 
 
 def find_strokes(rig: Rig, stroke: NDArray) -> tuple[Rig, NDArray]:
@@ -208,7 +207,7 @@ def as_if_white(data: FitData) -> FitData:
     """The data of recordings with samples that count as if their noise had no correlation."""
 
     def ignore_correlation(grid: Grid) -> Grid:
-        return grid._replace(a=jnp.where(grid.a > 0, 1.0, 0.0), b=jnp.zeros_like(grid.b))
+        return grid._replace(a=np.where(grid.a > 0, 1.0, 0.0), b=np.zeros_like(grid.b))
 
     force, position = data.pushes.force, data.pushes.position
     pushes = data.pushes._replace(

@@ -187,8 +187,13 @@ def _fatal(path: Path) -> bool:
 
 @cache
 def _lapack_ready() -> None:
-    """Lowering a call of LAPACK fills the table that the call is made by; loading one does not."""
-    jax.jit(jnp.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), float))
+    """Fill the table that calls of LAPACK are made by, which loading a program does not."""
+    try:
+        from jaxlib.lapack import prepare_lapack_call
+
+        prepare_lapack_call("potrf", np.dtype(float))
+    except Exception:  # another version: lowering a call does it, and takes half a second
+        jax.jit(jnp.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), float))
 
 
 def _same(a: Any, b: Any) -> bool:
