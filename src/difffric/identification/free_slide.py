@@ -23,13 +23,16 @@ def _solve_columns(
 ) -> tuple[NDArray, NDArray, NDArray]:
     """log mu_s at which each slide has its distance, the derivatives (n, 3) of log d there by
     log mu_s, log v, and k_v [1/(N s/m)], and log d there."""
-    x, log_v, log_d = start_above(rigs, v, d), np.log(v), np.log(d)
-    k_v = parameters.values(rigs)[K_V]
-    for _ in range(STEPS):
-        value, slope = differentiate(lambda z: log_distance(rigs, z, log_v, k_v), x, np.ones(()))
-        x = x - (value - log_d) / slope
+    log_v, log_d, k_v = np.log(v), np.log(d), parameters.values(rigs)[K_V]
     along = tuple(direction[:, None] for direction in np.eye(3))
-    value, slope = differentiate(lambda at: log_distance(rigs, *at), (x, log_v, k_v), along)
+    with np.errstate(all="ignore"):  # a slide that viscosity alone would stop runs to no number
+        x = start_above(rigs, v, d)
+        for _ in range(STEPS):
+            value, slope = differentiate(
+                lambda z: log_distance(rigs, z, log_v, k_v), x, np.ones(())
+            )
+            x = x - (value - log_d) / slope
+        value, slope = differentiate(lambda at: log_distance(rigs, *at), (x, log_v, k_v), along)
     return x, slope.T, value
 
 
