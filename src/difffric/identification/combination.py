@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import NDArray
 
 from difffric.identification.estimates import Estimates, PushFriction
@@ -18,6 +18,9 @@ from difffric.identification.inversion import Inversion
 from difffric.identification.resolved_pushes import ResolvedPushes
 from difffric.identification.standard_errors import average_with_error, propagate_errors
 from difffric.identification.surrogates import weigh_by_ranges
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 _NO_RANGE = "no (7): the model gives no range of d"
 _NO_NOISE = "no optimum: the noise of F_p or of d is not known"

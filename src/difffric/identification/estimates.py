@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import overload
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import NDArray
 
 from difffric.units import to_mm_min
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 WAYS = {
     "mu_s_force": "force",

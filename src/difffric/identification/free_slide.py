@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import NDArray
 
 from difffric.compute.lanes import differentiate
@@ -16,6 +15,9 @@ from difffric.identification.resolved_pushes import ResolvedPushes
 from difffric.identification.slide_equation import K_V, STEPS, log_distance, start_above
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 
 def _solve_columns(

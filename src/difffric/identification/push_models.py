@@ -168,7 +168,7 @@ def differentiate_models(
         return differentiate_batch(models.rigs, models.velocity, models.integrator, mu_s, names)
     values = parameters.values(models.rigs)
 
-    def observe_shifted(shifts: list[Any]) -> Observables:
+    def observe_with(shifts: list[Any]) -> Observables:
         moved = {
             name: coordinates.shift_value(name, values[name], shift)
             for name, shift in zip(names, shifts, strict=True)
@@ -177,7 +177,7 @@ def differentiate_models(
         return observe_columns(rigs, models.velocity)
 
     along = [direction[:, None] for direction in np.eye(len(names))]
-    seen, by = differentiate(observe_shifted, [np.zeros(())] * len(names), along)
+    seen, by = differentiate(observe_with, [np.zeros(())] * len(names), along)
     return np.stack([by.peak_force.T, by.sliding_distance.T], axis=1), seen.regime
 
 

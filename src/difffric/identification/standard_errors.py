@@ -9,11 +9,15 @@ the calibrated coordinates and R R^T the covariance of these,
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import NDArray
 
 from difffric.identification.estimates import Estimates
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 
 def propagate_errors(

@@ -94,14 +94,14 @@ def write_table(pushes: Pushes, path: str | os.PathLike) -> None:
     write_whole(path, lambda file: file.write(text.getvalue().encode()))
 
 
-class _Cells(NamedTuple):
+class _TableText(NamedTuple):
     """The cells of a table as text, None where empty, a column a name; and the line of each row."""
 
     columns: dict[str, list[str | None]]
     lines: list[int]
 
 
-def _split(text: str, path) -> tuple[list[str], _Cells, list[tuple[int, str]]]:
+def _split(text: str, path) -> tuple[list[str], _TableText, list[tuple[int, str]]]:
     """(header, cells, rows that are too long or too short)."""
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     rows: list[tuple[int, list[str]]] = []
@@ -133,7 +133,7 @@ def _split(text: str, path) -> tuple[list[str], _Cells, list[tuple[int, str]]]:
         problems.append((line, f"{line}: {len(cells)} cells, expected {n}{hint}"))
     # Names may be doubled: that is told before a column is read.
     columns = {name: [cells[i] or None for _, cells in good] for i, name in enumerate(header)}
-    return header, _Cells(columns, [line for line, _ in good]), problems
+    return header, _TableText(columns, [line for line, _ in good]), problems
 
 
 def _column_problems(header: list[str]) -> list[str]:
@@ -160,7 +160,7 @@ def _column_problems(header: list[str]) -> list[str]:
     return problems
 
 
-def _read_column(table: _Cells, q: PushQuantity) -> tuple[list, list[tuple[int, str]]]:
+def _read_column(table: _TableText, q: PushQuantity) -> tuple[list, list[tuple[int, str]]]:
     """The values [SI] of a column, NaN (or "") where not measured; and the cells that are wrong."""
     cells = table.columns[q.key]
     if q.range is None:
@@ -203,7 +203,7 @@ def parse_plain_cells(texts: Sequence[str | None], q: PushQuantity) -> NDArray:
     return np.where(plain.fill_null(False).to_numpy(), value, np.nan)
 
 
-def _find_unsaid(table: _Cells) -> list[tuple[int, str]]:
+def _find_unsaid(table: _TableText) -> list[tuple[int, str]]:
     """Rows that name no speed at all."""
     names = ("velocity_mm_min", "release_velocity_mm_min")
     speeds = [name for name in names if name in table.columns]
