@@ -21,6 +21,13 @@ from difffric.compute.program_cache import CachedProgram, cache_program
 _SOON: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
 """XLA's newer code generator for fused loops takes most of the time that a large program needs
 to compile, and 0.5 GB."""
+_QUICKLY: dict[str, Any] = {
+    **_SOON,
+    "xla_backend_optimization_level": 0,
+    "xla_cpu_parallel_codegen_split_count": 1,
+}
+"""Machine code as it comes, all of it at once: made in a third of the time, up to six times slower
+where loops are long."""
 _TESTED = (0, 11)
 """The mark is internal to XLA: from this version of JAX on it has not been tried, and programs are
 compiled as usual."""
@@ -36,6 +43,12 @@ def compile_soon(function: Callable) -> CachedProgram:
     return cache_program(function, _SOON)
 
 
+def compile_quickly(function: Callable) -> CachedProgram:
+    """`cache_program`, for a large program of short loops that takes longer to compile than to run
+    in all."""
+    return cache_program(function, _QUICKLY)
+
+
 def in_one_piece(function: Callable) -> Callable:
     """`function` of arrays, for use within `jax.jit`: compiled as one native function on CPUs.
 
@@ -45,7 +58,7 @@ def in_one_piece(function: Callable) -> Callable:
     """
 
     @cache
-    def called():
+    def make_called():
         import jax
         from jax.experimental.xla_metadata import set_xla_metadata
 
@@ -64,6 +77,6 @@ def in_one_piece(function: Callable) -> Callable:
         if jax.__version_info__ >= _TESTED:
             return function(*args)
         with set_xla_metadata(**_MARKS):
-            return jax.lax.optimization_barrier(called()(*args))[0]
+            return jax.lax.optimization_barrier(make_called()(*args))[0]
 
     return call_marked

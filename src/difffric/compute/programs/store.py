@@ -112,7 +112,7 @@ def compile_now(
             lowered = jax.jit(list_leaves, compiler_options=options).lower(shapes)
         finally:
             _here.tracing = False
-    with _beside_jax_cache(), record.time("compiled"):
+    with _bypass_jax_cache(), record.time("compiled"):
         return lowered.compile(), trees[0]
 
 
@@ -202,7 +202,7 @@ def _same(a: Any, b: Any) -> bool:
 
 
 @contextmanager
-def _beside_jax_cache() -> Iterator[None]:
+def _bypass_jax_cache() -> Iterator[None]:
     """In this thread JAX's own cache keeps nothing: it would keep each program a second time, and
     a program that it has loaded lacks what serialising needs."""
     try:
