@@ -6,21 +6,13 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import difffric as df
-from difffric.compute import pytrees
-from difffric.estimation import coordinates
-from difffric.estimation.residuals import Grid, TracePush
-from difffric.estimation.stacked_data import table_data
 from difffric.measurements.recordings import Channel, Recording, Recordings
-from difffric.rig import parameters
 from difffric.rig.sensors import ForceSensor
 from difffric.rig.setup import Extras, Setup
-from difffric.simulation.closed_form import ClosedForm
 from tests.reference import data as reference
 
 PRACTICE = Path(__file__).parents[3] / ".." / "shared" / "data" / "practice"
@@ -251,66 +243,3 @@ def test_the_clean_practice_set_within_three_standard_errors():
     fit = df.fit(df.load_setup(folder / "setup.toml"), df.load(folder / "pushes.tdms"))
     for label in FREE:
         assert fit.value(label) == pytest.approx(truth[label], abs=3 * fit.standard_error(label))
-
-
-# The parts.
-
-
-def test_the_rows_of_a_table_are_measured_minus_model_and_its_derivatives(table):
-    """Against `sensitivity`, which a 60-digit reference has checked."""
-    from difffric.simulation.sensitivities import sensitivity
-
-    rig, data = table_data(parameters.with_stroke(rough(1, 1, 1), TRUE.stroke), table, (0.5, 3e-7))
-    every = coordinates.names(rig)
-    values = {k: float(v) for k, v in parameters.values(rig).items()}
-    c = jnp.array([float(coordinates.to_coordinate(x, values.get(x, 0.0))) for x in every])
-    for i in (0, 5):
-        push = jax.tree.map(lambda a, i=i: a[i], data.pushes)
-        rows = np.asarray(push.respond(pytrees.as_arrays(rig), ClosedForm(), c).rows)
-        point = sensitivity(rig, table.velocity[i])
-        assert rows[0, -1] == pytest.approx(
-            table.peak_force[i] - float(point.observables.peak_force)
-        )
-        for j, name in enumerate(every[:-1]):
-            slope = coordinates.slope(name, values[name])
-            for row, by in ((0, point.peak_force), (1, point.sliding_distance)):
-                assert rows[row, j] == pytest.approx(-float(by[name]) * slope, rel=1e-9, abs=1e-15)
-
-
-def test_the_triangle_of_a_recording_keeps_its_normal_equations(monkeypatch):
-    """R' R = [J r]' [J r], and block means agree with the mean over their samples."""
-    from difffric.estimation import residuals
-
-    rig = pytrees.as_arrays(parameters.with_stroke(rough(1, 1, 1), 2e-3))
-    size, dt = 4, 5e-5
-    fine = dt * (np.arange(3000) + 0.5)
-    trajectory = df.simulate(rig, 0.05)
-    F, x, _ = (np.asarray(part) for part in trajectory.evaluate(fine))
-    t = fine.reshape(-1, size).mean(axis=1)
-    means = [y.reshape(-1, size).mean(axis=1) for y in (F, x)]
-    jumps = np.array([0.0, 0.04, *np.asarray(trajectory.segments.t)])
-    keep = (np.abs(t[:, None] - jumps) > 2 * size * dt).all(axis=1).astype(float)
-    zero, before = np.zeros_like(t), np.zeros(len(t), int)
-    curve = np.asarray((1 - 1 / size**2) / 24)
-    force, position = (
-        Grid(jnp.asarray(t), jnp.asarray(y), jnp.asarray(a), zero, before, curve)
-        for y, a in zip(means, (keep, np.ones_like(t)), strict=True)
-    )
-    push = TracePush(jnp.asarray(0.05), jnp.asarray(2e-3), force, position)
-    every = coordinates.names(rig)
-    values = {k: float(v) for k, v in parameters.values(rig).items()}
-    c = jnp.array([float(coordinates.to_coordinate(n, values.get(n, 0.0))) for n in every])
-    K = len(every)
-    rows = np.asarray(push.respond(rig, ClosedForm(), c).rows)
-    assert np.abs(rows[: K + 1, -1]).max() < 1e-3 * np.sqrt(keep.sum())  # N
-    assert np.abs(rows[K + 1 :, -1]).max() < 2e-9 * np.sqrt(len(t))  # m
-    kept = {}
-    monkeypatch.setattr(
-        residuals, "_factorise", lambda J, r: kept.setdefault(len(kept), jnp.column_stack([J, r]))
-    )
-    push.respond(rig, ClosedForm(), c)
-    for i, whole in kept.items():
-        R, whole = rows[i * (K + 1) : (i + 1) * (K + 1)], np.asarray(whole)
-        scale = np.sqrt(np.diag(whole.T @ whole))
-        outer = np.outer(scale, scale)
-        np.testing.assert_allclose(R.T @ R / outer, whole.T @ whole / outer, atol=1e-11)
