@@ -253,7 +253,7 @@ def test_a_stripped_program_is_smaller_and_gives_the_same(folder, monkeypatch):
 
     def make():
         """As a user's programs are made; the tests' own hold less that can be stripped."""
-        return cache_program(loops, lambda: {"xla_cpu_use_fusion_emitters": True})
+        return cache_program(loops, {"xla_cpu_use_fusion_emitters": True})
 
     wanted = make().jitted(x)
     contents = {}
