@@ -41,6 +41,7 @@ from difffric.compute.programs.private_folder import (
 )
 from difffric.compute.programs.record import Record
 from difffric.compute.programs.stripped import find_targets, strip
+from difffric.compute.programs.trial import TRIAL
 
 _PACKAGE = Path(difffric.__path__[0])
 """The folder whose files, however deep, make a program: a changed law must never run an old one."""
@@ -85,10 +86,10 @@ def load_or_compile(
     if _fatal(path):
         return None
     record = Record(str(key[0]), path.name[:8])
-    call = _read(path, record)
+    call = read_program(path, record)
     if call is None:
         with hold(path.with_name(path.name + _LOCK)):
-            call = _read(path, record) or _make(path, function, arrays, options, record)
+            call = read_program(path, record) or _make(path, function, arrays, options, record)
     return record.watch(call)
 
 
@@ -138,15 +139,18 @@ def _make(
     """The program compiled, and kept where that is possible.
 
     What is kept is believed only where it gives the same once more: first the program without all
-    that running it should not need, then as XLA wrote it.
+    that running it should not need, once another process has survived it, then as XLA wrote it.
     """
+    if _STRIPPED:
+        TRIAL.start()
     compiled, tree = compile_now(function, arrays, options, record)
     call = wrap(compiled, tree)
     wanted = call(arrays)
     for edit in (strip, None) if _STRIPPED else (None,):
         if not _write(path, compiled, tree, edit):
             continue
-        again = _read(path, record)
+        survived = edit is None or TRIAL.survives(path, arrays)
+        again = read_program(path, record) if survived else None
         with suppress(Exception):
             if again is not None and _same(wanted, again(arrays)):
                 return again
@@ -219,7 +223,7 @@ def describe_kind(x: Any) -> tuple:
     return x.shape, x.dtype, getattr(x, "weak_type", False)
 
 
-def _read(path: Path, record: Record) -> Callable | None:
+def read_program(path: Path, record: Record) -> Callable | None:
     """The program, or None where there is none that can be used."""
     try:
         with path.open("rb") as file:

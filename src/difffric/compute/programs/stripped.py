@@ -39,8 +39,8 @@ _STATISTICS, _ORIGINAL = 82, 88
 """Of an instruction: what is said for people."""
 _LOGICAL, _ALIAS, _ALLOCATION, _HEAP, _PEAK = 1, 2, 3, 4, 5
 """Of the buffers: logical ones, aliases, allocations, and a trace and peaks for people."""
-_DEFINED, _ASSIGNED, _PLACE, _INSTRUCTION = 3, 9, 2, 4
-"""Of a logical buffer, an allocation, an alias and a location."""
+_DEFINED, _ASSIGNED, _CONSTANT, _PLACE, _INSTRUCTION = 3, 9, 12, 2, 4
+"""Of a logical buffer, an allocation twice, an alias and a location."""
 _THUNK, _INFO, _KERNEL, _OP_NAME = 1, 2, 11, 1
 """Of the calls: one, what it is of, the kernel if it is one; the instruction's name."""
 _NESTED = {3: (1,), 4: (1,), 10: (1, 2)}
@@ -99,7 +99,8 @@ def _read_one(message: bytes, number: int) -> bytes:
 def _strip_code(code: bytes) -> bytes:
     compiled = _find_kernels(_read_one(code, _THUNKS))
     with_settings = _read_one(code, _MODULE)
-    module = _Module(_read_one(with_settings, _PROGRAM), compiled)
+    constants = _find_constants(_read_one(code, _BUFFERS))
+    module = _Module(_read_one(with_settings, _PROGRAM), compiled, constants)
     small = edit_fields(with_settings, lambda n, v: module.write() if n == _PROGRAM else v)
     buffers = _strip_buffers(_read_one(code, _BUFFERS), module.kept)
     return edit_fields(code, lambda n, v: {_MODULE: small, _BUFFERS: buffers}.get(n, v))
@@ -125,12 +126,15 @@ class _Module:
     message: bytes
     compiled: set[bytes]
     """names of instructions whose bodies are machine code"""
+    constants: set[int]
+    """numbers of the instructions whose values loading puts into buffers"""
     kept: set[int] = field(default_factory=set)
     """numbers of the instructions that stay"""
 
     def __post_init__(self) -> None:
         every = {find_one(c, _NUMBER): c for c in find_bytes(self.message, _COMPUTATIONS)}
         self.computations: dict[int, bytes] = {}
+        self.holding = self._find_holding(every)
         reached = [find_one(self.message, _ENTRY)]
         while reached:
             number = reached.pop()
@@ -138,6 +142,16 @@ class _Module:
                 called: list[int] = []
                 self.computations[number] = self._strip_computation(every[number], called)
                 reached += called
+
+    def _find_holding(self, every: dict[int, bytes]) -> set[int]:
+        """The numbers of the computations with such a constant, their own or in one they call."""
+        holding: set[int] = set()
+        for number, computation in every.items():  # what is called stands before what calls it
+            for instruction in find_bytes(computation, _INSTRUCTIONS):
+                own = holding.intersection(find_whole(instruction, _CALLED))
+                if own or find_one(instruction, _ID) in self.constants:
+                    holding.add(number)
+        return holding
 
     def write(self) -> bytes:
         """The module's message."""
@@ -168,12 +182,28 @@ class _Module:
         ]
         own = find_whole(instruction, _CALLED)
         names, kinds = find_bytes(instruction, _NAME), find_bytes(instruction, _KIND)
-        if not own or names[0] not in self.compiled or _CUSTOM in kinds:
+        needed = _CUSTOM in kinds or bool(self.holding.intersection(own))
+        if not own or names[0] not in self.compiled or needed:
             called += own
             return write_fields(fields)
         outside: list[Field] = [(n, w, v) for n, w, v in fields if n not in (_KIND, _CALLED)]
         outside = [(n, w, b"custom-call" if n == _OPERATION else v) for n, w, v in outside]
         return write_fields([*outside, (_TARGET, 2, b"compiled")])
+
+
+def _find_constants(buffers: bytes) -> set[int]:
+    """The numbers of the instructions that define the buffers of constants."""
+    assigned = {
+        find_one(one, 1)
+        for allocation in find_bytes(buffers, _ALLOCATION)
+        if find_one(allocation, _CONSTANT)
+        for one in find_bytes(allocation, _ASSIGNED)
+    }
+    return {
+        find_one(_read_one(logical, _DEFINED), _INSTRUCTION)
+        for logical in find_bytes(buffers, _LOGICAL)
+        if find_one(logical, 1) in assigned
+    }
 
 
 def _strip_buffers(buffers: bytes, kept: set[int]) -> bytes:
