@@ -20,7 +20,7 @@ _PLACE = re.compile(r"\s*\d+( of \d+)?$")
 
 
 @dataclass
-class Part:
+class Phase:
     """What one part of the work took."""
 
     seconds: float = 0.0
@@ -41,8 +41,8 @@ class Part:
 class Timings:
     """The parts of a piece of work, in the order in which they began."""
 
-    parts: dict[str, Part] = field(default_factory=dict)
-    _now: Part = field(default_factory=Part)
+    parts: dict[str, Phase] = field(default_factory=dict)
+    _now: Phase = field(default_factory=Phase)
     _since: float = field(default_factory=time.perf_counter)
     _lock: Lock = field(default_factory=Lock)
 
@@ -51,7 +51,7 @@ class Timings:
         now = time.perf_counter()
         self._now.seconds += now - self._since
         self._since = now
-        self._now = self.parts.setdefault(_PLACE.sub("", what), Part())
+        self._now = self.parts.setdefault(_PLACE.sub("", what), Phase())
 
     def count(self, calls: int, pushes: tuple[int, int], directions: tuple[int, int]) -> None:
         """Add to the part that is going on; `pushes` and `directions` as asked for and as

@@ -127,7 +127,7 @@ def _is_none(step: NDArray) -> bool:
     return bool((np.abs(step) < _STEP).all())
 
 
-class _Gain(NamedTuple):
+class _StepOutcome(NamedTuple):
     """What has become of a step."""
 
     accepted: bool
@@ -135,7 +135,7 @@ class _Gain(NamedTuple):
     """of the trust region"""
 
 
-def _compare(here: Evaluation, found: Evaluation, step: NDArray) -> _Gain:
+def _compare(here: Evaluation, found: Evaluation, step: NDArray) -> _StepOutcome:
     """What a step has gained, beside what the linear model predicted."""
     square = here.r @ here.r
     linear = here.jacobian.apply(step) + here.r
@@ -143,7 +143,7 @@ def _compare(here: Evaluation, found: Evaluation, step: NDArray) -> _Gain:
     gained = 0.5 * (found.r @ found.r - square)
     accepted = bool(gained <= _POOR * predicted)
     good = gained < _GOOD * predicted and predicted < 0
-    return _Gain(accepted, (_FURTHER if good else 1.0) if accepted else _SHORTER)
+    return _StepOutcome(accepted, (_FURTHER if good else 1.0) if accepted else _SHORTER)
 
 
 def _is_arrived(x: NDArray, dx: NDArray, r: NDArray, dr: NDArray) -> bool:

@@ -73,7 +73,7 @@ def make_recordings(setup: Setup) -> df.Recordings:
             continue
         t = np.arange(-_BEFORE, float(push.stop_time) + _AFTER, dt)
         force, position = (
-            df.measurements.recordings.Channel.of(
+            df.measurements.Channel.of(
                 np.asarray(x) + level * random.standard_normal(len(t)), dt, -_BEFORE, unit
             )
             for x, level, unit in zip(push.evaluate(t)[:2], levels, ("N", "m"), strict=True)
