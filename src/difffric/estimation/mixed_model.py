@@ -84,10 +84,14 @@ class End(NamedTuple):
 
 def spread_coordinates(problem: Problem, point: FitPoint) -> Float[Array, "pushes coordinates"]:
     """Each push's coordinates at a point. mu_s is the first, the start offset the last."""
-    unit = np.eye(problem.fixed.shape[1])
     c = problem.fixed + problem.selection @ point.theta
-    c = c + (problem.scatter * point.eta)[:, None] * unit[0]
-    return c + (problem.starts * point.start)[:, None] * unit[-1]
+    own, start = problem.scatter * point.eta, problem.starts * point.start
+    if isinstance(c, np.ndarray):
+        c[:, 0] += own
+        c[:, -1] += start
+        return c
+    # Added in place too: a table's search ends on this or that side of a jump by a rounding.
+    return c.at[:, 0].add(own).at[:, -1].add(start)
 
 
 def _respond(rig: Any, integrator: Any, pushes: Any, c: Float[Array, "pushes coordinates"]) -> Any:
