@@ -22,7 +22,7 @@ from difffric.compute.precision import require_float64
 from difffric.errors import InputError
 from difffric.estimation.coordinates import layout
 from difffric.estimation.descent import Model
-from difffric.estimation.stacked_data import sensor_errors, slides_data, table_data
+from difffric.estimation.stacked_data import slides_data, table_data
 from difffric.measurements.checks import check_data
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
@@ -197,9 +197,9 @@ def _fit_table(task: _Arrangement, pushes: Pushes, tell: Tell) -> tuple[FitState
     """
     rig = task.model.rig
     if pushes.free_slides:
-        data = slides_data(rig, pushes, sensor_errors(rig)[1])
+        data = slides_data(rig, pushes, rig.sensor_errors[1])
     else:
-        rig, data = table_data(rig, pushes, sensor_errors(rig))
+        rig, data = table_data(rig, pushes, rig.sensor_errors)
     columns = task.model.layout.n_free
     if data.samples <= columns:
         raise InputError(f"fit: {data.samples} measurements cannot determine {columns} values")

@@ -15,7 +15,6 @@ from difffric.estimation.descent import Model
 from difffric.estimation.fisher_information import design_data, information, responses
 from difffric.estimation.open_parameters import list_undetermined, open_units
 from difffric.estimation.restricted_likelihood import invert_information
-from difffric.estimation.stacked_data import sensor_errors
 from difffric.measurements.pushes import Pushes
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
@@ -162,7 +161,7 @@ def _expect_weights(
     own = np.stack([pushes.peak_force_se, pushes.sliding_distance_se], axis=1)
     measured = np.isfinite(np.stack([pushes.peak_force, pushes.sliding_distance], axis=1))
     wanted = measured if measured.any() else np.ones_like(measured)
-    default = [a if a is not None else b for a, b in zip(noise, sensor_errors(rig), strict=True)]
+    default = [a if a is not None else b for a, b in zip(noise, rig.sensor_errors, strict=True)]
     error = np.where(np.isnan(own), np.array([np.nan if x is None else x for x in default]), own)
     there = wanted & np.isfinite(answers)
     if pushes.free_slides:

@@ -20,7 +20,6 @@ from difffric.estimation.mixed_fit import ROUNDS, rescan_push_friction, settle, 
 from difffric.estimation.stacked_data import (
     FitData,
     as_if_white,
-    sensor_errors,
     table_data,
     traces_data,
 )
@@ -106,7 +105,7 @@ class RecordingSearch:
     def _stack_loose_table(self) -> tuple[Model, FitData]:
         """Peaks and distances, which only lead to where the samples decide."""
         rig = self.model.rig
-        rig, data = table_data(rig, self.reduction.pushes, sensor_errors(rig))
+        rig, data = table_data(rig, self.reduction.pushes, rig.sensor_errors)
         sd = np.hypot(1.0 / np.maximum(data.rough, 1e-300), [0.0, _LOOSE])
         data = replace(data, rough=np.where(data.rough > 0, 1.0 / sd, 0.0))
         return replace(self.model, rig=rig, free_start=False), data

@@ -22,7 +22,6 @@ from difffric.diagnosis.lack_of_fit import is_misfit_large
 from difffric.estimation import ensemble, ensemble_refits
 from difffric.estimation.effect_coordinates import PLAIN
 from difffric.estimation.ensemble import EnsembleTask, Fits
-from difffric.estimation.stacked_data import sensor_errors
 from difffric.measurements.checks import check_data
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
@@ -128,10 +127,10 @@ def _collect_errors(rig: Rig, measured: Pushes) -> NDArray:
         d, v = measured.sliding_distance, measured.release_velocity
         through = np.nan_to_num(2 * d / v * measured.release_velocity_se)
         own = measured.sliding_distance_se
-        own = np.where(np.isnan(own), sensor_errors(rig)[1] or _SLIDE_READ * d, own)
+        own = np.where(np.isnan(own), rig.sensor_errors[1] or _SLIDE_READ * d, own)
         return np.stack([np.full(len(d), np.nan), np.hypot(own, through)], axis=1)
     noise = np.stack([measured.peak_force_se, measured.sliding_distance_se], axis=1)
-    default = [np.nan if x is None else x for x in sensor_errors(rig)]
+    default = [np.nan if x is None else x for x in rig.sensor_errors]
     return np.where(np.isnan(noise), default, noise)
 
 

@@ -60,18 +60,6 @@ class FitData:
     left_out: int = 0
 
 
-def sensor_errors(rig: Rig) -> tuple[float | None, float | None]:
-    """Standard errors of F_p [N] and d [m] that the rig's sensors alone explain.
-
-    d is the difference of two readings, each with its noise and its quantum. None where a
-    sensor's noise is not known.
-    """
-    F, probe = rig.force_sensor.noise, rig.probe
-    if probe.noise is None:
-        return F, None
-    return F, float(np.sqrt(2 * (probe.noise**2 + probe.resolution**2 / 12)))
-
-
 def pad(array: Any, n: int) -> Any:
     """An array, or a tree of arrays, with n entries along the first axis, padded with copies of the
     first entry up to the next multiple of `PADDING`."""

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from difffric.compute.pytrees import pick
 from difffric.estimation.push_rigs import make_push_rigs
-from difffric.estimation.stacked_data import sensor_errors
 from difffric.identification.resolved_pushes import fill_errors
 from difffric.identification.tabulated_model import TabulatedModel
 from difffric.measurements.pushes import Pushes
@@ -55,7 +54,7 @@ class Reader:
 
     def __init__(self, rig: Rig):
         self.rig = rig
-        own = sensor_errors(rig)
+        own = rig.sensor_errors
         self.noise_known = tuple(x is not None for x in own)
         self._noise = [b if a is None else a for a, b in zip(own, NOISE, strict=True)]
         self._integrator = default_integrator(rig)

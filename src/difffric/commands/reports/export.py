@@ -6,7 +6,6 @@ import json
 
 from difffric.commands import figures
 from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table
-from difffric.estimation.stacked_data import sensor_errors
 from difffric.identification.controller.c_code import render_golden, render_source, state_error
 from difffric.identification.controller.fitting import QUANTITIES, Exported
 from difffric.identification.controller.predictor import REASONS
@@ -22,7 +21,7 @@ _NAMES = {"force": "F_p", "distance": "d", "either": "either"}
 def describe_predictor(exported: Exported, rig: Rig) -> dict:
     """Return the predictor as result.json holds it; predictor.json has the cells, too."""
     p = exported.predictor
-    F_se, d_se = sensor_errors(rig)
+    F_se, d_se = rig.sensor_errors
     return {
         "box": {
             "velocity_m_per_s": [p.box.slowest, p.box.fastest],
@@ -51,7 +50,7 @@ def describe_predictor(exported: Exported, rig: Rig) -> dict:
 
 def render_files(exported: Exported, rig: Rig) -> dict[str, bytes]:
     """predictor.json, predictor.c, predictor.h and golden.csv."""
-    errors = sensor_errors(rig)
+    errors = rig.sensor_errors
     stored = {**describe_predictor(exported, rig), "predictor": exported.predictor.as_dict()}
     return {
         "predictor.json": (json.dumps(to_json_types(stored), allow_nan=False) + "\n").encode(),
