@@ -13,7 +13,7 @@ from difffric.calibration.data_comparison import PushComparison, TraceComparison
 from difffric.calibration.profiles import Profile
 from difffric.calibration.result import Fit
 from difffric.commands.figures.friction_of_pushes import draw_friction_of_pushes
-from difffric.commands.figures.style import STYLE, group_by_condition, make_figure
+from difffric.commands.figures.style import OPEN_MARKS, STYLE, group_by_condition, make_figure
 from difffric.units import to_mm_min, to_um
 
 
@@ -45,10 +45,7 @@ def draw_pushes(fit: Fit, beside: PushComparison) -> Figure:
                     scale[j] * np.nan_to_num(beside.standard_error[j, mine]),
                     fmt=marker,
                     color=colour,
-                    ms=5,
-                    mfc="none",
-                    lw=1,
-                    capsize=2,
+                    **OPEN_MARKS,
                     label=name,
                 )
                 if curves is None:

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from difffric.commands.figures.style import STYLE, group_by_condition, make_figure
+from difffric.commands.figures.style import OPEN_MARKS, STYLE, group_by_condition, make_figure
 
 
 def draw_friction_of_pushes(
@@ -40,10 +40,7 @@ def draw_friction_of_pushes(
                 errors[mine],
                 fmt=marker,
                 color=colour,
-                ms=5,
-                mfc="none",
-                lw=1,
-                capsize=2,
+                **OPEN_MARKS,
                 label=condition or "each push",
             )
         ax.plot([], [], color="#666", lw=6, alpha=0.3, label=what)

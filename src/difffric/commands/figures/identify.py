@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from difffric.commands.figures.friction_of_pushes import draw_friction_of_pushes
-from difffric.commands.figures.style import STYLE, group_by_condition, make_figure
+from difffric.commands.figures.style import OPEN_MARKS, STYLE, group_by_condition, make_figure
 from difffric.identification.estimates import WAYS, Identified
 from difffric.units import to_mm_min
 
@@ -54,10 +54,7 @@ def draw_identified(found: Identified, velocity: NDArray) -> Figure:
                     error,
                     fmt=marker,
                     color=colour,
-                    ms=5,
-                    mfc="none",
-                    lw=1,
-                    capsize=2,
+                    **OPEN_MARKS,
                     label=condition or "each push",
                 )
         for ax, way in zip(axes.flat, ways, strict=False):

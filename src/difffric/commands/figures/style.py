@@ -16,6 +16,8 @@ COLOURS = {"DRY": "#b4532a", "OILY": "#1f6f8b"}
 _OTHERS = ("#1f6f8b", "#b4532a", "#5b7f3b", "#7a4f9a", "#b08a1e", "#555555")
 MARKERS = "osD^vP"
 """Marks of one condition after another, where a print has no colours."""
+OPEN_MARKS: Any = {"ms": 5, "mfc": "none", "lw": 1, "capsize": 2}
+"""How measured points and their error bars are drawn."""
 STYLE: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
