@@ -59,7 +59,7 @@ class TablePush(NamedTuple):
         distance: d counts as 0. What was not measured has a residual and derivatives of 0."""
 
         def compare(c: Array) -> Any:
-            seen = observe(_set_stroke(rig_at(rig, c), self.stroke), self.velocity, integrator)
+            seen = observe(set_stroke(rig_at(rig, c), self.stroke), self.velocity, integrator)
             model = jnp.stack([seen.peak_force, seen.sliding_distance])
             reached = jnp.where(jnp.isnan(model), 0.0, model)
             r = jnp.where(jnp.isnan(self.measured), 0.0, self.measured - reached)
@@ -129,7 +129,7 @@ class TracePush(NamedTuple):
         the other: a few rows with the same normal equations and the same sum of squares."""
 
         def compare(c: Array) -> Any:
-            at = _set_stroke(rig_at(rig, c), self.stroke)
+            at = set_stroke(rig_at(rig, c), self.stroke)
             push = Push.of(at, self.velocity, integrator)
             trajectory = Trajectory.of(pytrees.as_arrays(push), TRACE_CYCLES, TRACE_STRIDES)
             offset = to_value(START, c[-1])
@@ -172,7 +172,7 @@ def _factorise(
     return jax.lax.fori_loop(0, size, column, (A, jnp.zeros((size, size))))[1]
 
 
-def _set_stroke(rig: Rig, stroke: Array) -> Rig:
+def set_stroke(rig: Rig, stroke: Array) -> Rig:
     """The rig with this push's stroke [m], if it has any; without one the pusher stops at the first
     loss of contact."""
     return rig if rig.pusher.stroke is None else parameters.with_stroke(rig, stroke)

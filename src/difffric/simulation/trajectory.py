@@ -15,8 +15,9 @@ from difffric.errors import InputError
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
 from difffric.rig.setup import check_rig
-from difffric.simulation.events import MAX_CYCLES, Mode, Regime, explain
+from difffric.simulation.events import MAX_CYCLES, Regime, explain
 from difffric.simulation.observables import Observables, observe_segments, observe_steps
+from difffric.simulation.segment_motion import move_within
 from difffric.simulation.segments import Integrator, Push, Segment
 from difffric.simulation.stepping.integrator import RungeKutta
 from difffric.simulation.stepping.path import PushPath, follow
@@ -139,22 +140,7 @@ def _at(trajectory: Trajectory, time):
     table = trajectory.segments
     index = jnp.maximum(jnp.searchsorted(table.t, time, side="right") - 1, 0)
     s = jax.tree.map(lambda column: column[index], table)
-    dt = jnp.maximum(time - s.t, 0.0)
-    y = s.y + s.v_p * dt
-
-    closing, free = s.mode == Mode.CLOSING, s.mode == Mode.FREE
-    pushed = closing | (s.mode == Mode.REBOUNDING)
-    # No mode is followed where it does not hold.
-    z_p, u_p = integrator.evaluate_pushed(rig, closing, s.z, s.u, s.v_p, jnp.where(pushed, dt, 0.0))
-    slid, u_f = integrator.evaluate_free(rig, s.u, jnp.where(free, dt, 0.0))
-    z = jnp.where(pushed, z_p, s.z + s.v_p * dt - jnp.where(free, slid, 0.0))
-    u = jnp.where(pushed, u_p, jnp.where(free, u_f, 0.0))
-
-    approach, rebound = rig.contact.approach(z, s.v_p - u), rig.contact.rebound(z, s.v_p - u)
-    force = jnp.where(s.mode == Mode.REBOUNDING, rebound, approach)
-    touching = (s.mode != Mode.FREE) & (z >= 0)
-    started = time >= 0
-    return jnp.where(touching & started, force, 0.0), y - z, u
+    return move_within(rig, integrator, s, time)
 
 
 def simulate(
