@@ -27,7 +27,7 @@ class Observables(NamedTuple):
     """F_p and d of one push, in SI units, with its regime.
 
     NaN stands in `sliding_distance` where `reason` is not 0 (`events.explain` says why), and in
-    both where the push could not be followed.
+    both where the push could not be followed so far that its peak is decided.
     """
 
     peak_force: Array
@@ -125,7 +125,7 @@ def observe_steps(loop: StepLoop, m: LoopState) -> Observables:
 def _kind(regime, stuck_first, *counts):
     kind = regime + 4 * stuck_first
     for count in counts:
-        kind = kind * 1024 + count
+        kind = kind * 1024 + count % 1024  # so that neighbouring counts differ, however large
     return kind  # of three counts: 30 bits
 
 
@@ -165,9 +165,12 @@ def observe_segments(push: Push, state: State) -> Observables:
     peak = push.rig.force_sensor.read(state.peak)
     slid = push.rig.probe.read(state.slid)
     no_end = lost_track | too_many | too_long | state.endless
+    # Held again after its first slip, the part only repeats itself; and of as many cycles in few
+    # contacts each is a smaller swing about steady sliding than the one before.
+    open_peak = lost_track | (too_many & (state.sticks <= state.stuck_first))
     last = state.segment
     return Observables(
-        peak_force=xp.where(lost_track | too_many | too_long, xp.nan, peak),
+        peak_force=xp.where(open_peak, xp.nan, peak),
         sliding_distance=xp.where(reason != Reason.OK, xp.nan, slid),
         reason=reason,
         regime=regime,

@@ -282,10 +282,38 @@ class Push(NamedTuple):
         )
 
     def last_state(self) -> State:
-        """Follow the push to its end."""
+        """Follow the push to its end, past what only repeats itself."""
         if self.once:
             return self.cycle(self.start())[0]
-        return repeat_while(lambda s: ~s.over, lambda s, push: push.cycle(s)[0], self.start(), self)
+
+        def turn(state: State, push: Push) -> State:
+            return push.cycle(push._skip_repeats(state))[0]
+
+        return repeat_while(lambda s: ~s.over, turn, self.start(), self)
+
+    def _skip_repeats(self, state: State) -> State:
+        """The state after all whole periods of stick-slip that are left; exact, and so are its
+        derivatives.
+
+        Each slip begins as the first did: at the breakaway's compression, at rest, the tip at its
+        speed. So a part that is held again, x from its start, has come as far as the tip does in a
+        period x / v, and all repeats itself until the stop. Not where contact was lost: it is then
+        lost in each period, and contacts are counted.
+        """
+        s = state.segment
+        again = (s.mode == Mode.STUCK) & state.moved & (s.v_p > 0) & ~state.lost
+        return change_where(again, lambda state, push: push._skip_periods(state), state, self)
+
+    def _skip_periods(self, state: State) -> State:
+        s = state.segment
+        left, x = self._time_left(s), s.y - s.z
+        period = x / s.v_p
+        some = xp.isfinite(left) & (period > 0)
+        many = xp.where(some, xp.floor(left / xp.where(some, period, 1.0)), 0.0)
+        ahead = s._replace(
+            t=s.t + xp.where(some, many * period, 0.0), y=s.y + xp.where(some, many * x, 0.0)
+        )
+        return state._replace(segment=ahead, sticks=state.sticks + xp.asarray(many, int))
 
     def segments(self, cycles: int = MAX_CYCLES) -> tuple[State, Segment]:
         """Follow the push to its end, or for so many cycles at most; also all segments, stacked
