@@ -165,12 +165,11 @@ def observe_segments(push: Push, state: State) -> Observables:
     peak = push.rig.force_sensor.read(state.peak)
     slid = push.rig.probe.read(state.slid)
     no_end = lost_track | too_many | too_long | state.endless
-    # Held again after its first slip, the part only repeats itself; and of as many cycles in few
-    # contacts each is a smaller swing about steady sliding than the one before.
-    open_peak = lost_track | (too_many & (state.sticks <= state.stuck_first))
     last = state.segment
     return Observables(
-        peak_force=xp.where(open_peak, xp.nan, peak),
+        # Of so many cycles in few contacts each is a smaller swing about steady sliding than the
+        # one before: the peak is decided.
+        peak_force=xp.where(lost_track | too_many, xp.nan, peak),
         sliding_distance=xp.where(reason != Reason.OK, xp.nan, slid),
         reason=reason,
         regime=regime,
