@@ -16,7 +16,7 @@ from difffric.calibration.result import Fit
 from difffric.errors import NumericalError
 from difffric.estimation.coordinates import NOTHING, has_vanished, to_value
 from difffric.estimation.descent import ARRIVED, Settled, descend, linearise_at, take_end
-from difffric.estimation.mixed_fit import rescan_push_friction
+from difffric.estimation.push_friction import rescan_push_friction
 from difffric.estimation.stacked_data import RECORDINGS
 
 _TRUST, _TRUST_OF_SAMPLES = 30.0, 1e3

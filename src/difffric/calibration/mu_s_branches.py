@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from difffric.calibration.batched_answers import BATCH, compute_answers, weigh_residuals
 from difffric.estimation.descent import ARRIVED, Model, Settled
-from difffric.estimation.mixed_fit import rescan_push_friction, settle
+from difffric.estimation.mixed_fit import settle
+from difffric.estimation.push_friction import rescan_push_friction
 from difffric.estimation.stacked_data import FitData
 
 _NO_ANSWER = 1e9

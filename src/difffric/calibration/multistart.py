@@ -8,7 +8,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.calibration.marginal_likelihood import minus_2_log_likelihood
+from difffric.calibration.marginal.marginal_likelihood import minus_2_log_likelihood
+from difffric.calibration.marginal.polish import polish
 from difffric.calibration.mu_s_branches import find_branches, settle_on_best_branches
 from difffric.calibration.other_basins import find_other_basins
 from difffric.calibration.result import FitState
@@ -16,7 +17,8 @@ from difffric.calibration.table_starts import rank_starts
 from difffric.errors import NumericalError
 from difffric.estimation.coordinates import Layout
 from difffric.estimation.descent import Model, Settled, descend, first_point, take_end
-from difffric.estimation.mixed_fit import rescan_push_friction, settle
+from difffric.estimation.mixed_fit import settle
+from difffric.estimation.push_friction import rescan_push_friction
 from difffric.estimation.stacked_data import TABLE, FitData
 from difffric.progress import Tell
 from difffric.rig import parameters
@@ -47,6 +49,9 @@ _TRUST = 30.0
 _NEW_SCATTER = 0.01
 """The scatter with which a fit in another basin starts: small, so that each push's own mu_s does
 not hide that the shared parameters fit badly."""
+_NEAR, _POLISHED = 6.0, 2
+"""Fits whose -2 log-likelihood is this near the best's are polished too, and how many at most: the
+optimum of the marginal likelihood may lie some units below where a search settled."""
 _COOLER = 0.3
 """By how much the scatter is reduced at once, to see whether a colder fit is the better one."""
 _LEAST_COOLED = 2e-3
@@ -132,7 +137,8 @@ def fit_from_starts(
             _try_other_basins(contest, starts, tell)
         tell("cooling", 0.9)
         contest.try_smaller_scatter()
-    return FitState(model, data, contest.best), (contest.reached, contest.tried)
+    tell("polishing", 0.95)
+    return FitState(model, data, contest.polish_best()), (contest.reached, contest.tried)
 
 
 def _try_other_basins(contest: _Contest, starts: list[NDArray], tell: Tell) -> None:
@@ -206,6 +212,12 @@ class _Contest:
         if self._cost(cooled) < self.fits[0][0] - ALIKE:
             # The starts that led to the best would have led here.
             self.fits = [(self._cost(cooled), cooled, self.reached), *self.fits]
+
+    def polish_best(self) -> Settled:
+        """The optimum of the marginal likelihood that is the best of those near the best fits."""
+        near = [at for cost, at, _ in self.fits if cost < self.fits[0][0] + _NEAR][:_POLISHED]
+        done = [polish(self.model, self.data, at) for at in near]
+        return min(done, key=lambda at: at.components.criterion)
 
     def _settle(self, start: Settled) -> Settled:
         done = settle(self.model, self.data, start)

@@ -16,7 +16,8 @@ from difffric.calibration.table_starts import fit_forces
 from difffric.errors import InputError, NumericalError
 from difffric.estimation import coordinates
 from difffric.estimation.descent import Model, Settled, first_point, prepare_descent
-from difffric.estimation.mixed_fit import ROUNDS, rescan_push_friction, settle, spread_push_friction
+from difffric.estimation.mixed_fit import ROUNDS, settle
+from difffric.estimation.push_friction import rescan_push_friction, spread_push_friction
 from difffric.estimation.stacked_data import (
     FitData,
     as_if_white,
@@ -175,8 +176,8 @@ class RecordingSearch:
             model, data = self._stack_samples(jumps, stiffest)
             rounds = rounds // 2
             at = settle(model, data, at, trust=_TRUST, rounds=rounds)
-            while elsewhere and (_misfit_of_pushes(data, at) > _POOR).any():
-                other = rescan_push_friction(model, data, at, elsewhere.pop(0)(at))
+            while elsewhere and (poor := _misfit_of_pushes(data, at) > _POOR).any():
+                other = rescan_push_friction(model, data, at, elsewhere.pop(0)(at), poor)
                 at = at if other is at else settle(model, data, other, trust=_TRUST)
             if _are_same(jumps, np.asarray(at.end.jumps)[: data.n]):
                 break

@@ -7,6 +7,7 @@ linear mixed model about a point, for the variances.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,9 +27,12 @@ from difffric.estimation.mixed_model import (
     respond,
     spread_coordinates,
 )
+from difffric.estimation.residuals import Rows
+from difffric.estimation.respond_in_columns import respond_in_columns
 from difffric.estimation.restricted_likelihood import Components, LinearModel, linearise
 from difffric.estimation.stacked_data import RECORDINGS, FitData, pad
 from difffric.rig.rig import Rig
+from difffric.simulation.columns import serves
 from difffric.timings import count_followed
 
 ARRIVED = 1e-4
@@ -103,18 +107,19 @@ def pose_problem(
     scatter: float,
     weights: NDArray,
     trust: float,
+    padded: bool = True,
 ) -> Problem:
     """The penalised least-squares problem with the parameters `held` (P,) at `theta` (P,).
 
     `weights` (n, rows) are 1 / standard deviation; `trust` is that of `mixed_model.Problem`. Pushes
-    and parameters are padded.
+    and parameters are padded for a compiled program, if `padded`.
     """
     layout = model.layout.without(held, theta)
     n, P = data.n, layout.n_free
-    size = -(-max(P, 1) // (PADDING // 2)) * (PADDING // 2)
+    size = -(-max(P, 1) // (PADDING // 2)) * (PADDING // 2) if padded else P
     selection = np.zeros((*layout.selection.shape[:2], size))
     selection[:, :, :P] = layout.selection
-    whole = -(-n // PADDING) * PADDING
+    whole = -(-n // PADDING) * PADDING if padded else n
     row_weights = np.zeros((whole, weights.shape[1]))
     row_weights[:n] = weights
     prior, prior_weight = np.zeros(size), np.zeros(size)
@@ -123,11 +128,11 @@ def pose_problem(
     starts = np.zeros(whole)
     starts[:n] = float(model.free_start)
     return Problem(
-        rig=pytrees.as_arrays(model.rig),
+        rig=pytrees.as_arrays(model.rig) if padded else model.rig,
         integrator=model.integrator,
         pushes=data.pushes,
-        selection=np.asarray(pad(selection, n)),
-        fixed=np.asarray(pad(layout.fixed, n)),
+        selection=np.asarray(pad(selection, n)) if padded else selection,
+        fixed=np.asarray(pad(layout.fixed, n)) if padded else layout.fixed,
         scatter=np.asarray(scatter),
         weights=row_weights,
         prior=prior,
@@ -150,10 +155,16 @@ def descend(
     """The conditional mode near a point, for these weights (n, rows) and this scatter, with the
     parameters `held` (P,) where they are, after `steps` steps at most."""
     problem, start = _pose_descent(model, data, at, held, weights, scatter, trust)
-    if data.kind == RECORDINGS:
-        end = minimise_recordings(problem, start, steps)
-    else:
+    if data.kind != RECORDINGS:
         end = minimise_table(problem, start, np.asarray(steps))
+    elif goes_in_columns(model, data):
+        pushes, moving = pytrees.pick(data.pushes, slice(data.n)), _list_moving(model)
+        end = minimise_recordings(
+            problem, start, steps, lambda c: respond_in_columns(model.rig, pushes, c, moving)
+        )
+    else:
+        given = problem.rig, problem.integrator, problem.pushes
+        end = minimise_recordings(problem, start, steps, lambda c: respond(*given, c))
     whole, _, columns = np.shape(end.rows)
     calls = int(end.steps) + 1
     pushes = calls * data.n, calls * whole
@@ -161,9 +172,57 @@ def descend(
     return end
 
 
+def goes_in_columns(model: Model, data: FitData) -> bool:
+    """Whether whole recordings are followed by NumPy, with nothing compiled."""
+    return data.kind == RECORDINGS and serves(model.rig, model.integrator)
+
+
+def _list_moving(model: Model) -> list[int]:
+    """The indices of the coordinates that a fit moves, each push's own among them."""
+    free = (model.layout.selection != 0).any(axis=(0, 2))
+    free[0] = True
+    free[-1] |= model.free_start
+    return np.flatnonzero(free).tolist()
+
+
+def respond_at(
+    model: Model,
+    data: FitData,
+    at: Settled,
+    index: NDArray,
+    s_eta: NDArray,
+    start: NDArray,
+    moving: Sequence[int],
+) -> Rows:
+    """What recorded pushes answer, `index` (L,) of them, one perhaps several times: their rows.
+
+    The shared coordinates are those of `at`; `s_eta` (L,) is each one's log mu_s beyond the shared
+    one, `start` (L,) its start offset in coordinates. Derivatives are those by the coordinates
+    `moving` at least.
+    """
+    layout = model.layout
+    c = layout.fixed[index] + layout.selection[index] @ at.theta
+    c[:, 0] += s_eta
+    c[:, -1] += start
+    lanes, directions = len(index), len(index) * len(moving)
+    count_followed(1, (lanes, lanes), (directions, directions))
+    if goes_in_columns(model, data):
+        return respond_in_columns(model.rig, pytrees.pick(data.pushes, index), c, moving)
+    # A compiled program takes as many pushes at a time as the data have, padded.
+    rig, whole = pytrees.as_arrays(model.rig), len(pad(np.zeros(data.n), data.n))
+    parts = []
+    for lo in range(0, len(index), whole):
+        some = np.minimum(np.arange(lo, lo + whole), len(index) - 1)
+        found = respond(rig, model.integrator, pytrees.pick(data.pushes, index[some]), c[some])
+        parts.append([np.asarray(x)[: len(index) - lo] for x in found])
+    return Rows(*map(np.concatenate, zip(*parts, strict=True)))
+
+
 def prepare_descent(model: Model, data: FitData, at: Settled) -> None:
-    """Make the program of `descend` for recordings of this shape ready for every later call; may be
-    left to another thread."""
+    """Make the program of `descend` for recordings of this shape ready for every later call, if it
+    needs one; may be left to another thread."""
+    if goes_in_columns(model, data):
+        return
     problem, start = _pose_descent(model, data, at, at.held, data.weights, model.scatter, 1.0)
     given = problem.rig, problem.integrator, problem.pushes
     respond.prepare(*given, spread_coordinates(problem, start))
@@ -179,7 +238,8 @@ def _pose_descent(
     trust: float,
 ) -> tuple[Problem, FitPoint]:
     """What a search of `mixed_model` takes: the problem, and where it starts."""
-    problem = pose_problem(model, data, held, at.theta, scatter, weights, trust)
+    padded = not goes_in_columns(model, data)
+    problem = pose_problem(model, data, held, at.theta, scatter, weights, trust, padded)
     theta = np.zeros(problem.prior.shape[0])
     theta[: len(at.theta)] = np.where(held, 0.0, at.theta)
     eta = np.zeros(problem.weights.shape[0])

@@ -8,7 +8,6 @@ go again where the misfit would pull it back inside. An ensemble of many fits do
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,7 +30,6 @@ from difffric.estimation.restricted_likelihood import (
     estimate_variances,
 )
 from difffric.estimation.stacked_data import FitData
-from difffric.estimation.thread_pool import map_in_threads
 from difffric.rig.parameters import PARAMETERS
 
 ROUNDS = 25
@@ -41,10 +39,6 @@ HUBER = 1.345
 where the noise is normal): P. J. Huber, Ann. Math. Statist. 35 (1964)."""
 _UNFELT = 1e-3
 """A parameter whose e-fold change moves no residual by more than this many spreads is gone."""
-OTHERWISE = (-3.0, -1.5, -0.7, 0.7, 1.5, 3.0)
-"""Where else each push's own mu_s is looked for, in units of the scatter."""
-_TRIAL = 15
-"""Steps of a descent in which only each push's own mu_s moves: it is then as good as found."""
 
 
 def settle(
@@ -133,47 +127,6 @@ def _solve_unheld(
     except a damping that has vanished."""
     linear = linearise_at(model, data, replace(at, held=at.held & (at.theta <= NOTHING)), factor)
     return estimate_shared(linear, at.scatter, at.spreads, model.estimate_scatter)
-
-
-def spread_push_friction(at: Settled) -> list[NDArray]:
-    """Each push's own log mu_s (n,), some multiples of the scatter to either side: a list of
-    trials."""
-    return [at.s_eta + shift * at.scatter for shift in OTHERWISE]
-
-
-def rescan_push_friction(
-    model: Model, data: FitData, at: Settled, trials: Sequence[NDArray] | None = None
-) -> Settled:
-    """The point with each push's own mu_s where it fits best, among descents from several starts:
-    `trials`, each (n,), or else multiples of the scatter to either side.
-
-    d jumps with mu_s where a regime ends, and a d may belong to several mu_s: a search from one
-    side may stay on the wrong one. With the shared parameters held the pushes are independent.
-    """
-    if at.scatter <= 0:
-        return at
-    everything = np.ones_like(at.held)
-    if trials is None:
-        trials = spread_push_friction(at)
-
-    def cost(end: End) -> tuple[NDArray, NDArray]:
-        rows = at.weights * np.asarray(end.rows)[: data.n, :, -1]
-        eta = np.asarray(end.point.eta)[: data.n]
-        return np.sum(rows**2, axis=1) + eta**2, at.scatter * eta
-
-    best, s_eta = cost(at.end)
-    improved = False
-
-    def descend_from(trial: NDArray) -> End:
-        start = replace(at, s_eta=trial)
-        return descend(model, data, start, everything, at.weights, at.scatter, 30.0, _TRIAL)
-
-    for end in map_in_threads(descend_from, trials):
-        new, ended_at = cost(end)
-        better = new < best - 1e-3
-        improved |= bool(better.any())
-        best, s_eta = np.where(better, new, best), np.where(better, ended_at, s_eta)
-    return replace(at, s_eta=s_eta) if improved else at
 
 
 def _scale_weights(data: FitData, spreads: NDArray) -> NDArray:

@@ -161,9 +161,12 @@ def minimise_table(problem: Problem, start: FitPoint, steps: Array) -> End:
     return End(point, rows, model, jumps, chi2, solution.stats["num_steps"])
 
 
-def minimise_recordings(problem: Problem, start: FitPoint, steps: int) -> End:
+def minimise_recordings(
+    problem: Problem, start: FitPoint, steps: int, follow: Callable[[NDArray], Any]
+) -> End:
     """The conditional mode near `start`, after `steps` steps at most, by the same method with its
-    steps taken outside the compiled program."""
+    steps taken outside a compiled program: `follow` gives the pushes' `Rows` at their coordinates
+    (n, K)."""
     n, P = problem.fixed.shape[0], problem.prior.shape[0]
 
     def unpack(x: NDArray) -> FitPoint:
@@ -171,9 +174,7 @@ def minimise_recordings(problem: Problem, start: FitPoint, steps: int) -> End:
 
     def evaluate(x: NDArray) -> Evaluation:
         point = unpack(x)
-        given = problem.rig, problem.integrator, problem.pushes
-        found = respond(*given, spread_coordinates(problem, point))
-        rows, model, jumps = map(np.asarray, found)
+        rows, model, jumps = map(np.asarray, follow(spread_coordinates(problem, point)))
         return Evaluation(*_weigh(problem, point, rows), (rows, model, jumps))
 
     x, found, steps = search_minimum(evaluate, np.concatenate(start), min(steps, MAX_STEPS))

@@ -100,7 +100,8 @@ def _respond_table(pushes: TablePush, moved: _Moved) -> Rows:
 
 def _respond_slides(pushes: SlidePush, moved: _Moved) -> Rows:
     """The distances of free slides."""
-    at, v = moved.rig(), np.asarray(pushes.release_velocity, float)
+    at = moved.rig()
+    v: Any = np.asarray(pushes.release_velocity, float)
     slide = ViscousSlide(-at.free(0.0), -xp.slope(at.free, *moved.columns))
     d, dd = moved.split(slide.rest(v)[1])
     r = np.asarray(pushes.measured, float) - d[:, None]
@@ -150,7 +151,8 @@ def _read_channels(traces: ColumnTraces, moved: _Moved, grid: Grid) -> tuple[NDA
     out = np.zeros((2, len(moved.moving) + 1, n * length))
     for channel, (value, slope) in zip(out, (found[:2], found[2:]), strict=True):
         channel[:-1, where], channel[-1, where] = slope, value
-    return tuple(out.reshape(2, -1, n, length))
+    force, position = out.reshape(2, -1, n, length)
+    return force, position
 
 
 def _compare(grid: Grid, read: NDArray, centred: bool) -> NDArray:

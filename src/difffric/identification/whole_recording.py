@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from difffric.estimation import coordinates
 from difffric.estimation.coordinates import layout
-from difffric.estimation.descent import Model, descend, first_point, take_end
-from difffric.estimation.mixed_fit import rescan_push_friction
+from difffric.estimation.descent import Model, first_point, respond_at
+from difffric.estimation.mixed_model import MAX_STEPS
+from difffric.estimation.push_friction import OTHERWISE, find_best_friction, find_push_friction
 from difffric.estimation.stacked_data import traces_data
 from difffric.measurements.reduction.reduce import Reduction
 from difffric.rig import parameters
@@ -23,6 +24,8 @@ share (standard error / this)^2 of its distance from the start."""
 _MASKINGS = 3
 """Times that the samples beside jumps of the model are looked up and the fit begins anew: the jumps
 move with mu_s, by less each time."""
+_FEW_STEPS = 15
+"""Steps of a search before the last: it only tells which samples lie beside a jump."""
 _POOR = 2.0
 """A reduced chi-square above this makes a search elsewhere."""
 
@@ -57,27 +60,31 @@ def fit_recordings(
         fixed[:, every.index(name)] = coordinates.to_coordinate(name, column)
     plan = replace(plan, fixed=fixed)
     fastest = float(np.sqrt(2 * given["k_N_per_m"].max() / given["mass_kg"].min()))
-    jumps, at, maskings = None, None, 1
-    while True:
+    everyone, s_eta, jumps = np.arange(n), np.zeros(n), None
+    for masking in range(_MASKINGS):
         spread, data = traces_data(rig, recordings, reduction.details, fastest, len(every), jumps)
         model = Model(spread, integrator, plan, _OPEN, False)
-        at = at or first_point(model, data, np.zeros(0))
-        end = descend(model, data, at, at.held, data.weights, _OPEN, 1e3)
-        at = replace(take_end(at, end, at.held, _OPEN), weights=data.weights)
-        samples = data.samples_of
-        chi2 = np.sum((data.weights * np.asarray(end.rows)[:n, :, -1]) ** 2, axis=1) / samples
-        if maskings == _MASKINGS:
-            break
-        if maskings == 1 and (chi2 > _POOR).any():
-            at = rescan_push_friction(model, data, at)
-        jumps, maskings = np.asarray(end.jumps)[:n], maskings + 1
-    rows = np.asarray(end.rows)[:n] * data.weights[..., None]
+        at = first_point(model, data, np.zeros(0))
+        last = masking == _MASKINGS - 1
+        steps = MAX_STEPS if last else _FEW_STEPS
+        found = find_push_friction(model, data, at, everyone, s_eta, steps)
+        s_eta, chi2 = found.s_eta, found.cost / data.samples_of
+        poor = np.flatnonzero(chi2 > _POOR)
+        if masking == 0 and len(poor):
+            trials = s_eta[poor] + _OPEN * np.array(OTHERWISE)[:, None]
+            best = find_best_friction(model, data, at, poor, trials)
+            s_eta[poor] = np.where(best.cost < found.cost[poor], best.s_eta, s_eta[poor])
+        moving = range(len(every)) if last else [0]
+        end = respond_at(model, data, at, everyone, s_eta, np.zeros(n), moving)
+        jumps = np.asarray(end.jumps)
+    rows = np.asarray(end.rows) * data.weights[..., None]
+    chi2 = np.sum(rows[..., -1] ** 2, axis=1) / data.samples_of
     J = rows[..., :-1]
     own = np.sum(J[..., 0] ** 2, axis=1)
     seen = own > 0
     across = -np.einsum("nm,nmk->nk", J[..., 0], J) / np.where(seen, own, 1.0)[:, None]
     across[:, 0] = 0.0
-    mu = np.exp(fixed[:, 0] + at.s_eta)
+    mu = np.exp(fixed[:, 0] + s_eta)
     return RecordingFits(
         mu_s=np.where(seen, mu, np.nan),
         own_variance=1.0 / np.where(seen, own, np.nan),
