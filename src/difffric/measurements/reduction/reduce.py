@@ -17,6 +17,7 @@ from difffric.measurements.noise import LONGEST, Noise, estimate_quiet_noise, po
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Channel, Recording, Recordings
 from difffric.measurements.reduction.contacts import find_contacts
+from difffric.measurements.reduction.early_rise import find_early_rise
 from difffric.measurements.reduction.landmarks import coarsen, find_peak, find_rest, find_slide
 from difffric.measurements.reduction.release import find_release
 
@@ -62,7 +63,7 @@ class Reduced:
     noise_force: Noise | None = None
     noise_position: Noise | None = None
     problem: str = ""
-    """why the recording is no push at all: without contact, or never at rest"""
+    """why the recording is no push at all: without contact, or before t = 0, or never at rest"""
     reason: str = ""
     """why something is missing, or less certain; empty where nothing is"""
 
@@ -136,8 +137,11 @@ def _with_force(
     coarse = coarsen(force, noise)
     contacts = find_contacts(force, coarse, level)
     out = replace(out, noise_force=noise, force_level=level)
+    early = find_early_rise(force)
     if not contacts:
-        return replace(out, problem=WITHOUT_CONTACT)
+        return replace(out, problem=str(early or WITHOUT_CONTACT))
+    if early:
+        reasons.append(str(early))
     peak = find_peak(force, coarse, contacts, noise)
     last = contacts[-1]
     out = replace(
