@@ -46,6 +46,9 @@ class Group:
     count: int
     make: Callable
     """(case number, seed) -> case"""
+    matters: float = 0.0
+    """the share of mu_s from which on a cause counts: everything, but beside small ones of all
+    effects"""
 
 
 def _turn(names: Sequence, i: int):
@@ -95,7 +98,7 @@ GROUPS = {
     "s = 30": Group(5, 120, _strong(30.0)),
     "typical": Group(6, 240, lambda i, seed: random_case(seed, _turn(IN_RECORDINGS, i))),
     "tables": Group(7, 240, _strong(10.0, cases.TABLE, IN_TABLES)),
-    "with nuisances": Group(8, 240, _counts),
+    "with nuisances": Group(8, 240, _counts, 0.005),
     "pairs": Group(9, 200, _pair),
     "outsiders": Group(10, 150, _outsider),
 }
@@ -121,7 +124,8 @@ def run_case(group: str, i: int, keep: Path | None = None) -> dict:
         setup, data = read_setup(folder / "setup.toml"), df.load(path)
         began = time.perf_counter()
         try:
-            found = df.diagnose(setup, data, use_data_mass=len(case.masses) > 1)
+            heavier, matters = len(case.masses) > 1, GROUPS[group].matters
+            found = df.diagnose(setup, data, use_data_mass=heavier, matters=matters)
         except (df.DifffricError, ArithmeticError, ValueError) as error:
             return {**line, "error": f"{type(error).__name__}: {error}"}
         line["seconds"] = time.perf_counter() - began

@@ -26,9 +26,9 @@ from difffric.errors import InputError
 def diagnose(
     data: Archive,
     setup: FleetSetup = None,
-    negligible: Annotated[
-        float, typer.Option(help="share of the systematic error below which a cause is left out")
-    ] = 0.1,
+    matters: Annotated[
+        float, typer.Option(help="share of mu_s that a cause must change, or F_p and d as much")
+    ] = 0.005,
     held_out: Annotated[
         str, typer.Option(help="what is held out at a time: push, or speed (all of one speed)")
     ] = "push",
@@ -41,10 +41,10 @@ def diagnose(
 ) -> None:
     """Report what the simulation gets wrong, the cause, the extended model and what it gains."""
     check_out(out)
-    if not 0 <= negligible < 1:
-        raise InputError(f"--negligible: expected a share from 0 to 1, got {negligible:g}")
+    if not 0 <= matters < 1:
+        raise InputError(f"--matters: expected a share of mu_s from 0 to 1, got {matters:g}")
     if is_fleet(data, workers, scheduler):
-        options = {"negligible": negligible, "held_out": held_out, "use_data_mass": use_data_mass}
+        options = {"matters": matters, "held_out": held_out, "use_data_mass": use_data_mass}
         return _diagnose_fleet(data, setup, workers, scheduler, out, quiet, options)
     file = check_setup(setup, data)
     check_setup_stays(out, file)
@@ -53,7 +53,7 @@ def diagnose(
         found = df.diagnose(
             rig,
             loaded,
-            negligible=negligible,
+            matters=matters,
             held_out=held_out,
             use_data_mass=use_data_mass,
             skip_bad=skip_bad,

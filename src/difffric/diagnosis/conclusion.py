@@ -10,14 +10,14 @@ from threading import Thread
 import numpy as np
 
 from difffric.calibration.result import Fit
-from difffric.diagnosis.cross_validation import CrossValidation
+from difffric.diagnosis.cross_validation import CrossValidation, Remaining
 from difffric.diagnosis.data import DiagnosisData
 from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.extended_setup import extend_rig, extend_setup, strip_effects
 from difffric.diagnosis.impossible_measurements import Certificate
 from difffric.diagnosis.lack_of_fit import LackOfFit, measure_lack_of_fit
 from difffric.diagnosis.location import Location, locate
-from difffric.diagnosis.misfit import measure_misfits
+from difffric.diagnosis.misfit import Misfit, describe_remaining, measure_misfits
 from difffric.diagnosis.next_experiment import Experiment, Pair, plan_experiments
 from difffric.diagnosis.score_test import Score
 from difffric.diagnosis.verdict import (
@@ -30,6 +30,7 @@ from difffric.diagnosis.verdict import (
     DiagnosisState,
     HeldOutGain,
     describe_cause,
+    find_friction,
 )
 from difffric.estimation import ensemble, ensemble_refits
 from difffric.estimation.ensemble import Fits
@@ -45,8 +46,8 @@ LEFT = 0.3
 ALIKE = 2 * np.log(20.0)
 """Drops of -2 log likelihood within this of each other do not tell two effects apart: odds of 20
 to 1."""
-_STANDS_OUT = 4.0
-"""Standard deviations of chi-square by which what is left must exceed the noise to count."""
+_DOUBTED = 0.1
+"""The same from which a lone cause is held against components that may bend freely."""
 _VISIBLE = 3.0
 """Standard deviations at its typical size from which an effect can be seen."""
 _SAME = 0.01
@@ -63,6 +64,8 @@ class NamedCause:
 
     best: CandidateCause
     others: tuple[CandidateCause, ...]
+    without: Fits
+    """the model that the cause is part of, refitted without it (an ensemble of one)"""
 
     @property
     def alike(self) -> tuple[str, ...]:
@@ -92,17 +95,24 @@ class Findings:
     validation: CrossValidation
     plain: Fits
     """the best plain model, an ensemble of one"""
+    whole: Fits
+    """the same with all that was detected: the causes and `slight`"""
     extended: Fits
-    """the same with the causes"""
+    """the same with the causes alone"""
     lack: LackOfFit
     """of the plain model"""
     causes: tuple[NamedCause, ...]
-    negligible: tuple[CandidateCause, ...]
-    """significant, and too small to matter"""
+    slight: tuple[NamedCause, ...]
+    """what was found like them, and is too small to matter"""
+    negligible: tuple[NamedCause, ...]
+    """significant in the last round, and too small to matter"""
     considered: tuple[CandidateCause, ...]
     """the first round's leaders"""
     scores: Mapping[str, Score]
     """the first round's score tests"""
+    visible: Mapping[str, float]
+    """the standard deviations at which each effect would be seen at its typical size, beside all
+    that was found before"""
     certificates: tuple[Certificate, ...]
     total: float | None
     """what there was to explain in -2 log likelihood; None: nothing was found"""
@@ -121,52 +131,73 @@ class Findings:
         return self.validation.measure_surprise(self.plain)
 
     def describe(
-        self, candidate: CandidateCause, alike: Sequence[str] = (), at: Fits | None = None
+        self, candidate: CandidateCause, without: Fits, at: Fits, alike: Sequence[str] = ()
     ) -> Cause:
-        """Describe a candidate by its numbers in the fit `at`, or in its own."""
+        """Describe a candidate by its numbers in the fit `at`, and by what it changes against the
+        fit `without` it."""
         gain = self.plain_surprise - self.validation.measure_surprise(candidate.fits)
         score = self.scores.get(candidate.effect)
         predicted = 0.0 if score is None else score.drop
-        fits = candidate.fits if at is None else at
-        return describe_cause(self.data.task, self.plain, fits, candidate, alike, predicted, gain)
+        return describe_cause(self.data.task, without, at, candidate, alike, predicted, gain)
 
 
-def conclude(found: Findings, negligible: float, tell: Tell) -> Diagnosis:
+def conclude(found: Findings, tell: Tell) -> Diagnosis:
     """Conclude a diagnosis.
 
-    `negligible` is the share of the plain model's systematic error below which nothing needs a
-    cause. Where the misfit stays unexplained the causes are dropped, and the plain model stands.
+    Where the misfit stays unexplained the causes are dropped, and the plain model stands.
     """
-    task, plain, extended, causes = found.data.task, found.plain, found.extended, found.causes
-    after = measure_lack_of_fit(task, extended)
+    task, plain, whole, causes = found.data.task, found.plain, found.whole, found.causes
+    extended, slight = found.extended, found.slight
+    after = measure_lack_of_fit(task, whole)
     gain, notes = _measure_gain(found)
-    location = _locate_unexplained(found, after, negligible, tell)
+    p_value = found.validation.measure_floor_p_value(whole)
+    arrived = found.validation.is_at_floor(whole)
+    location = _locate_unexplained(found, after, arrived, tell)
+    misfit = measure_misfits(found.data, plain, whole)
     if location is not None:
-        causes, extended, gain = (), plain, replace(gain, after=gain.before)
+        causes, slight, extended, whole = (), (), plain, plain
+        gain = replace(gain, after=gain.before)
+        p_value = found.validation.measure_floor_p_value(whole)
+        misfit = measure_misfits(found.data, plain, plain)
     verdict = _judge(causes, found.certificates, location)
     unseen = _list_invisible(found, causes)
     ambiguous = causes if verdict == AMBIGUOUS else ()
     rig = extend_rig(strip_effects(found.setup)[0].rig, task, extended)
+    friction, before = (find_friction(task, fits) for fits in (whole, plain))
     return Diagnosis(
         verdict=verdict,
         p_value=found.lack.p_value,
-        causes=_describe_causes(found, causes, extended),
-        considered=tuple(found.describe(c) for c in found.considered),
+        causes=_describe_causes(found, causes, whole),
+        considered=tuple(found.describe(c, plain, c.fits) for c in found.considered),
         certificates=found.certificates,
-        negligible=tuple(found.describe(c) for c in found.negligible),
+        negligible=(
+            *_describe_causes(found, slight, whole),
+            *(found.describe(one.best, one.without, one.best.fits) for one in found.negligible),
+        ),
         location=location,
         gain=gain,
+        remaining=_tell_remaining(gain.after, p_value, misfit, arrived and location is None),
         not_visible=unseen,
-        experiments=_plan_experiments(found, extended, ambiguous, unseen, tell),
+        experiments=_plan_experiments(found, whole, ambiguous, unseen, tell),
         impossible=found.data.impossible,
         plain=found.fit,
         rig=rig,
         setup=extend_setup(found.setup, rig, task, extended),
-        mu_s=tuple(np.exp(extended.mu[0, task.condition] + extended.own[0]).tolist()),
+        mu_s=tuple(np.exp(friction).tolist()),
+        change_mu_s=float(np.sqrt(np.mean((friction - before) ** 2))),
         notes=(*_note_plain_fit(found), *found.notes, *notes),
-        misfit=measure_misfits(found.data, plain, extended),
-        state=DiagnosisState(found.data, plain, extended, found.lack, after),
+        misfit=misfit,
+        state=DiagnosisState(found.data, plain, whole, found.lack, after),
     )
+
+
+def _tell_remaining(
+    nrmse: float, p_value: float | None, misfit: Sequence[Misfit], arrived: bool
+) -> Remaining | None:
+    """Tell what is left of held-out pushes, where that is more than noise."""
+    if arrived or p_value is None:
+        return None
+    return Remaining(nrmse, p_value, describe_remaining(misfit))
 
 
 def _judge(
@@ -185,8 +216,8 @@ def _measure_gain(found: Findings) -> tuple[HeldOutGain, tuple[str, ...]]:
     """Measure the errors on held-out pushes, and note where they are without meaning."""
     validation, task = found.validation, found.data.task
     held = [
-        validation.measure_squares(fits, found.extended.spread, found.plain.scatter)
-        for fits in (found.plain, found.extended)
+        validation.measure_squares(fits, found.whole.spread, found.plain.scatter)
+        for fits in (found.plain, found.whole)
     ]
     numbers = task.counts.sum()
     spent = 0 if validation.single else task.n * (task.mu_free + task.model.recordings)
@@ -199,34 +230,33 @@ def _measure_gain(found: Findings) -> tuple[HeldOutGain, tuple[str, ...]]:
 
 
 def _locate_unexplained(
-    found: Findings, after: LackOfFit, negligible: float, tell: Tell
+    found: Findings, after: LackOfFit, arrived: bool, tell: Tell
 ) -> Location | None:
     """Locate the misfit if the causes do not explain it: too much is left of it, or one component
     that may bend freely explains it better than all of them."""
-    task, plain, extended = found.data.task, found.plain, found.extended
-    # As a share of the misfit only where it stands out of chi-square's own scatter.
-    misfit = after.p_value is not None and after.p_value < SIGNIFICANT
-    misfit &= after.excess > _STANDS_OUT * np.sqrt(2 * after.expected)
-    left = np.sqrt(max(after.excess, 0.0) / found.scale) if misfit else 0.0
-    if left < negligible and len(found.causes) < 2:
+    task, plain, whole = found.data.task, found.plain, found.whole
+    left = 0.0 if arrived else float(np.sqrt(max(after.excess, 0.0) / found.scale))
+    nothing = not found.causes and not arrived
+    if left < _DOUBTED and len(found.causes) < 2 and not nothing:
         return None
     tell("looking for the component", 0.92)
     if found.compiling is not None:
         found.compiling.join()
     location = locate(task, plain, found.data.scales, found.lack.excess)
-    drop = float(ensemble.criterion(task, plain)[0] - ensemble.criterion(task, extended)[0])
-    numbers = len(extended.extra[0]) - len(plain.extra[0])
-    if left > LEFT or location.penalised_drop > drop - numbers * task.price:
-        return location
-    return None
+    drop = float(ensemble.criterion(task, plain)[0] - ensemble.criterion(task, whole)[0])
+    numbers = len(whole.extra[0]) - len(plain.extra[0])
+    bent = location.penalised_drop > drop - numbers * task.price
+    return location if nothing or left > LEFT or bent else None
 
 
 def _describe_causes(
-    found: Findings, causes: Iterable[NamedCause], extended: Fits
+    found: Findings, causes: Iterable[NamedCause], whole: Fits
 ) -> tuple[Cause, ...]:
     """Describe the causes by their numbers in the final fit."""
     described = [
-        replace(found.describe(one.best, one.alike, extended), probability=one.probability)
+        replace(
+            found.describe(one.best, one.without, whole, one.alike), probability=one.probability
+        )
         for one in causes
     ]
     # Every rig has many small imperfections, which good sensors see: first what counts.
@@ -236,7 +266,7 @@ def _describe_causes(
 def _list_invisible(found: Findings, causes: Iterable[NamedCause]) -> tuple[str, ...]:
     """List the effects that these data cannot show, or not at their typical sizes."""
     seen = {one.best.effect for one in causes}
-    small = [e for e, s in found.scores.items() if s.visible < _VISIBLE and e not in seen]
+    small = [e for e, sure in found.visible.items() if sure < _VISIBLE and e not in seen]
     return (*found.data.impossible, *small)
 
 

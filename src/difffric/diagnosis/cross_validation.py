@@ -3,15 +3,48 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from difffric.estimation import ensemble_refits
 from difffric.estimation.ensemble import EnsembleTask, Fits
 
+FLOOR = 1e-3
+"""Probability below which what fits leave of held-out pushes is more than noise."""
+_NOISE_KNOWN = 0.02
+"""Relative error of the noise's standard deviation, which is estimated itself from the quiet
+samples: a held-out error above the floor by no more is at it."""
 _MOST_FOLDS = 20
 """Folds at most: each push is one of its own up to so many pushes."""
+
+
+@dataclass(frozen=True)
+class Remaining:
+    """What a model leaves of held-out pushes beyond the noise."""
+
+    heldout_nrmse: float
+    """error on held-out pushes in units of the noise: 1 is perfect"""
+    p_value: float
+    """of so large an error by noise alone"""
+    where: str
+    """where it sits, as a person reads it"""
+
+    def as_dict(self) -> dict[str, Any]:
+        """As `result.json` holds it."""
+        return {
+            "heldout_nrmse": self.heldout_nrmse,
+            "p_value": self.p_value,
+            "where": self.where,
+        }
+
+    def __str__(self) -> str:
+        return (
+            f"what is left is not noise: the error on held-out pushes is {self.heldout_nrmse:.3g} "
+            f"times the noise (p = {self.p_value:.2g}), most of it in {self.where}"
+        )
 
 
 @dataclass(frozen=True)
@@ -49,6 +82,29 @@ class CrossValidation:
         if not self.single:
             return found.squares
         return self._predict(replace(fits, scatter=plain_scatter)).penalised
+
+    def measure_floor_p_value(self, fits: Fits) -> float | None:
+        """Return the probability that noise alone leaves as much of the held-out pushes as `fits`
+        (an ensemble of one) do; None where the noise is not known, or a mu_s of its own takes up
+        all that a push says."""
+        if self.single or any(self.task.open_spread):
+            return None
+        found = self._predict(fits)
+        # Pushes that the others hardly foresee count for less.
+        numbers = self.task.counts.sum(axis=1)
+        weight = numbers / np.maximum(found.expected, numbers)
+        mean = float((weight * found.expected).sum())
+        variance = float((weight**2 * found.variance).sum())
+        left = float((weight * found.penalised).sum()) / (1 + _NOISE_KNOWN) ** 2
+        # A multiple of chi-square with the same mean and variance.
+        scale = 0.5 * variance / mean
+        return float(scipy.stats.chi2.sf(left / scale, mean / scale))
+
+    def is_at_floor(self, fits: Fits) -> bool:
+        """Whether `fits` (an ensemble of one) leave no more of the held-out pushes than noise does,
+        as far as one can say."""
+        p_value = self.measure_floor_p_value(fits)
+        return p_value is None or p_value > FLOOR
 
     def _predict(self, fits: Fits) -> ensemble_refits.HeldOut:
         """Return what fits say of the held-out pushes: the same fits are asked about again and

@@ -15,6 +15,7 @@ from difffric.diagnosis.data import DiagnosisData
 from difffric.estimation.block_means import UnevenBlocks
 from difffric.estimation.ensemble import Fits
 from difffric.measurements.reduction.reduce import Reduced, Reduction
+from difffric.units import to_mm_min
 
 PHASES = ("stuck", "closing", "rebounding", "free", "at rest")
 _STUCK, _CLOSING, _REBOUNDING, _FREE, _AT_REST = range(len(PHASES))
@@ -124,21 +125,34 @@ def describe_misfits(found: Sequence[Misfit]) -> str | None:
     phases = [one for one in found if one.by == "phase"]
     if not phases:
         return None
-    excess = {
-        (one.channel, str(name)): float(n * (before - 1))
-        for one in phases
-        for name, n, before in zip(one.at, one.numbers, one.before, strict=True)
-    }
-    total = sum(max(x, 0.0) for x in excess.values())
+    total = sum(float((one.numbers * np.maximum(one.before - 1, 0)).sum()) for one in phases)
     numbers = sum(float(one.numbers.sum()) for one in phases)
-    (channel, phase), most = max(excess.items(), key=lambda item: item[1])
     if total < 0.1 * numbers:
         return None
-    while_ = {"free": "slides free", "at rest": "is at rest", "stuck": "is stuck"}
-    words = while_.get(phase, f"is in contact, {phase}")
-    return (
-        f"The largest part, {100 * most / total:.0f} %, is in the {channel} while the part {words}."
-    )
+    most, words = _find_largest(phases, [one.before for one in phases])
+    return f"The largest part, {100 * most / total:.0f} %, is in {words}."
+
+
+def describe_remaining(found: Sequence[Misfit]) -> str:
+    """Say in words where most of what is left with the causes sits: in which channel and phase, or,
+    of a table, at which speed."""
+    by = "phase" if any(one.by == "phase" for one in found) else "speed"
+    mine = [one for one in found if one.by == by]
+    return _find_largest(mine, [one.after for one in mine])[1]
+
+
+def _find_largest(found: Sequence[Misfit], left: Sequence[NDArray]) -> tuple[float, str]:
+    """Return the largest excess over the noise of any group, and the group in words; `left` are
+    the squared residuals per number of each of `found`."""
+    excess = [one.numbers * (x - 1) for one, x in zip(found, left, strict=True)]
+    k = int(np.argmax([x.max() for x in excess]))
+    j = int(np.argmax(excess[k]))
+    at, most = found[k].at[j], float(excess[k][j])
+    if isinstance(at, str):
+        while_ = {"free": "slides free", "at rest": "is at rest", "stuck": "is stuck"}
+        words = while_.get(at, f"is in contact, {at}")
+        return most, f"the {found[k].channel} while the part {words}"
+    return most, f"the {found[k].channel} at {to_mm_min(at):.0f} mm/min"
 
 
 def _collect_residuals(data: DiagnosisData, plain: Fits, extended: Fits) -> list[_ChannelResiduals]:

@@ -1,8 +1,8 @@
 """Given measured data: what the simulation gets wrong, the cause, and what mending it gains.
 
 The plain model is fitted; then one effect after the other is looked for on top of what is there,
-kept where it is significant, gains on held-out pushes and matters, and dropped again where later
-ones made it needless.
+kept where it is significant and gains on held-out pushes, and dropped again where later ones made
+it needless. What of it changes too little to matter is told, and is no cause.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from difffric.diagnosis.location import add_free_forms
 from difffric.diagnosis.score_test import Score, compute_p_value, run_score_tests
 from difffric.diagnosis.start import SearchStart, find_better_base, fit_plain_model, prepare_start
 from difffric.diagnosis.starting_values import SMOOTH_AT_NULL
-from difffric.diagnosis.verdict import Diagnosis
+from difffric.diagnosis.verdict import Diagnosis, measure_changes
 from difffric.errors import InputError, NumericalError
 from difffric.estimation import ensemble, ensemble_refits
 from difffric.estimation.ensemble import Fits
@@ -37,11 +37,11 @@ from difffric.rig.rig import Rig
 from difffric.rig.setup import Setup
 
 PUSH, SPEED = "push", "speed"
-NEGLIGIBLE = 0.1
-"""Share of the plain model's systematic error on held-out pushes below which a cause is listed,
-not added."""
-MOST = 3
-"""Causes that are looked for at most."""
+MATTERS = 0.005
+"""Share of mu_s by which a cause must change what is inferred to be one: a third of the scatter
+of a good rig from push to push."""
+MOST = 6
+"""Effects that are added at most, those that turn out not to matter among them."""
 _RESTARTS = 3
 """How often a round begins anew where the fit that it extends turns out not to be the best."""
 _FEWEST = 3
@@ -59,7 +59,7 @@ def diagnose(
     rig: Rig | Setup,
     data: Pushes | Recordings,
     *,
-    negligible: float = NEGLIGIBLE,
+    matters: float = MATTERS,
     held_out: str = PUSH,
     use_data_mass: bool = False,
     skip_bad: bool = False,
@@ -68,21 +68,24 @@ def diagnose(
     """Show what the rig's simulation gets wrong in measured pushes, name the cause, extend the
     rig by it and measure the gain on held-out pushes.
 
-    `negligible`: the share of the plain model's systematic error below which a cause is listed
-    and not added. `held_out`: "push", or "speed" to hold out all pushes of one speed at a time.
-    Effects that the rig has already stay, and are refitted.
+    `matters`: the share of mu_s by which an effect must change mu_s, or F_p or d as much as such a
+    share of mu_s does, to be a cause; what is detected and changes less is listed as negligible.
+    `held_out`: "push", or "speed" to hold out all pushes of one speed at a time. Effects that the
+    rig has already stay, and are refitted.
 
     Raises `InputError` for data that cannot be used, `NumericalError` where the fitted plain model
     gives no number for a push.
     """
     require_float64()
+    if not 0 <= matters < 1:
+        raise InputError(f"matters: expected a share of mu_s from 0 to 1, got {matters:g}")
     if held_out not in (PUSH, SPEED):
         raise InputError(f"held_out: expected {PUSH!r} or {SPEED!r}, got {held_out!r}")
     setup = rig if isinstance(rig, Setup) else Setup(rig)
     start = prepare_start(setup, data, tell, use_data_mass=use_data_mass, skip_bad=skip_bad)
     folds = assign_folds(np.asarray(start.data.task.model.pushes.velocity), held_out == SPEED)
-    search = _CauseSearch.begin(setup, start, folds, negligible, tell)
-    return conclude(search.run(), negligible, tell)
+    search = _CauseSearch.begin(setup, start, folds, matters, tell)
+    return conclude(search.run(), tell)
 
 
 @dataclass
@@ -92,21 +95,25 @@ class _CauseSearch:
     setup: Setup
     start: SearchStart
     validation: CrossValidation
-    negligible: float
+    matters: float
     tell: Tell
     plain: Fits
     """the best plain model by now (an ensemble of one)"""
     lack: LackOfFit
     """of the plain model"""
     base: Fits
-    """the plain model with the causes that are named by now"""
+    """the plain model with the effects that are added by now"""
     named: list[NamedCause] = field(default_factory=list)
-    small: list[CandidateCause] = field(default_factory=list)
-    """significant, and too small to matter"""
+    """the effects that are added"""
+    small: list[NamedCause] = field(default_factory=list)
+    """significant, not added, and too small to matter"""
     considered: list[CandidateCause] = field(default_factory=list)
     """the first round's leaders"""
     scores: Mapping[str, Score] = field(default_factory=dict)
     """the first round's score tests"""
+    visible: dict[str, float] = field(default_factory=dict)
+    """standard deviations at which each effect would be seen at its typical size, by its last score
+    test"""
     total: float | None = None
     """what there was to explain, in -2 log likelihood"""
     compiling: Thread | None = None
@@ -114,7 +121,7 @@ class _CauseSearch:
 
     @classmethod
     def begin(
-        cls, setup: Setup, start: SearchStart, folds: np.ndarray, negligible: float, tell: Tell
+        cls, setup: Setup, start: SearchStart, folds: np.ndarray, matters: float, tell: Tell
     ) -> _CauseSearch:
         """Begin with the best plain model.
 
@@ -128,7 +135,7 @@ class _CauseSearch:
             )
         lack = measure_lack_of_fit(task, plain)
         validation = CrossValidation(task, folds)
-        return cls(setup, start, validation, negligible, tell, plain, lack, plain)
+        return cls(setup, start, validation, matters, tell, plain, lack, plain)
 
     def run(self) -> Findings:
         """Look for causes, round by round, and return all that was found."""
@@ -146,24 +153,36 @@ class _CauseSearch:
             # The plain model is wrong for certain: what may mend it is in question.
             question = tuple(c for c in self.considered if c.penalised_drop > 0)
             if question:
-                self.named, self.base = [NamedCause(question[0], question)], question[0].fits
+                self.named = [NamedCause(question[0], question, self.plain)]
+                self.base = question[0].fits
+        causes = [one for one in self.named if self._does_matter(one, self.base)]
+        slight = [one for one in self.named if one not in causes]
         return Findings(
             setup=self.setup,
             data=data,
             fit=self.start.fit,
             validation=self.validation,
             plain=self.plain,
-            extended=self.base,
+            whole=self.base,
+            extended=self._leave_out(self.base, *(one.best.effect for one in slight)),
             lack=self.lack,
-            causes=tuple(self.named),
+            causes=tuple(causes),
+            slight=tuple(slight),
             negligible=tuple(self.small),
             considered=tuple(self.considered),
             scores=self.scores,
+            visible=self.visible,
             certificates=certificates,
             total=self.total,
             notes=notes,
             compiling=self.compiling,
         )
+
+    def _does_matter(self, one: NamedCause, at: Fits) -> bool:
+        """Whether an effect of the fit `at` changes as much as matters."""
+        task = self.start.data.task
+        changes = measure_changes(task, one.without, at, one.best.effect)
+        return changes.as_mu_s >= self.matters
 
     def _look_once_more(self, k: int) -> bool:
         """Look for one more cause in round k; whether another round may find another one."""
@@ -172,6 +191,7 @@ class _CauseSearch:
         wanted = self._list_wanted()
         scores = run_score_tests(task, self.base, wanted)
         self.scores = self.scores or scores
+        self.visible |= {effect: score.visible for effect, score in scores.items()}
         if k and self._is_enough(scores):
             return False
         if k and self.compiling is None:  # free forms may be needed, and take long to compile
@@ -185,15 +205,17 @@ class _CauseSearch:
         if best is None:
             return False
         self.total = self.total or max(self.lack.excess, best.drop)
-        if np.sqrt(max(best.drop, 0.0) / self.total) < self.negligible:
-            self.small += [c for c in found if c.penalised_drop > 0]
-            return False
-        return self._add(NamedCause(best, tuple(found)))
+        if self.validation.is_at_floor(self.base):
+            every = [NamedCause(c, tuple(found), self.base) for c in found if c.penalised_drop > 0]
+            if not any(self._does_matter(one, one.best.fits) for one in every):
+                self.small = every
+                return False
+        return self._add(NamedCause(best, tuple(found), self.base))
 
     def _list_wanted(self) -> list[str]:
-        """List the effects that are neither in the model nor known to be small."""
+        """List the effects that are not in the model."""
         there = {name.partition(".")[0] for name in self.start.known}
-        there |= {one.best.effect for one in self.named} | {c.effect for c in self.small}
+        there |= {one.best.effect for one in self.named}
         return [effect for effect in self.start.data.looked_for if effect not in there]
 
     def _is_enough(self, scores: Mapping[str, Score]) -> bool:
@@ -259,19 +281,28 @@ class _CauseSearch:
 
     def _drop_needless(self, named: list[NamedCause], base: Fits) -> tuple[list[NamedCause], Fits]:
         """Drop the causes that later ones made needless, one after the other."""
-        task = self.start.data.task
         for k in range(len(named) - 1):
             effect = named[k].best.effect
-            gone = task.model.coordinates.indices(numbers_of(effect))
-            c = base.c.copy()
-            c[0, gone] = self.plain.c[0, gone]
-            extra = tuple(i for i in base.extra[0] if i not in gone)
-            less = replace(base, c=c, extra=(extra,), gram=None, damping=None)
-            less = ensemble_refits.refit(task, less, _ROUNDS_WITHOUT)
+            less = self._leave_out(base, effect)
+            task = self.start.data.task
             drop = float(ensemble.criterion(task, less)[0] - ensemble.criterion(task, base)[0])
             if compute_p_value(effect, drop, len(self.start.data.looked_for)) > SIGNIFICANT:
                 return self._drop_needless(named[:k] + named[k + 1 :], less)
+            named = [*named[:k], replace(named[k], without=less), *named[k + 1 :]]
         return named, base
+
+    def _leave_out(self, base: Fits, *effects: str) -> Fits:
+        """Return the fit `base` (an ensemble of one) without some of its effects, all that is free
+        fitted anew."""
+        if not effects:
+            return base
+        task = self.start.data.task
+        gone = task.model.coordinates.indices([x for e in effects for x in numbers_of(e)])
+        c = base.c.copy()
+        c[0, gone] = self.plain.c[0, gone]
+        extra = tuple(i for i in base.extra[0] if i not in gone)
+        less = replace(base, c=c, extra=(extra,), gram=None, damping=None)
+        return ensemble_refits.refit(task, less, _ROUNDS_WITHOUT)
 
     def _add_alternatives(self) -> None:
         """Add to what the search compared each cause with what else could stand in its place."""
@@ -280,5 +311,5 @@ class _CauseSearch:
             there = {c.effect for c in one.others}
             more = [e for e in data.looked_for if e in SMOOTH_AT_NULL and e not in there]
             found = find_alternatives(data.task, self.plain, self.base, one.best, more)
-            whole.append(NamedCause(one.best, (*one.others, *found)))
+            whole.append(replace(one, others=(*one.others, *found)))
         self.named = whole

@@ -3,6 +3,9 @@
 An effect at its null is the plain model. The derivative of the answers by the effect's number,
 with all that is free already projected out, says to first order by how much -2 log likelihood
 would drop and at which size of the effect (Rao's score test). One evaluation serves all effects.
+
+The scatter of mu_s is estimated anew beside each effect: it has taken in what a drift does, and at
+the scatter without it no drift would drop -2 log likelihood by more than the number of pushes.
 """
 
 from __future__ import annotations
@@ -16,13 +19,16 @@ from numpy.typing import NDArray
 
 from difffric.diagnosis.starting_values import SMOOTH_AT_NULL
 from difffric.estimation import ensemble
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensemble import EnsembleTask, Fits, NormalEquations
 from difffric.rig.catalogue import KEYS, numbers_of
 
 _TRIALS = 10
 """How many independent looks a scan over a wavelength, a place or a speed is worth."""
 _LEAST_ROOM = 3
 """Numbers that one evaluation has columns for at least: the most that any effect has."""
+_SCATTERS = np.geomspace(1.0, 0.03, 15)
+"""Shares of the scatter without an effect that are tried beside it: a drift may explain nearly
+all of it."""
 _OFF_NULL = {name: 1e-6 for name, (_, key) in KEYS.items() if key.inverse}
 _OFF_NULL |= {"pusher_lag.tau_s": 5e-4}
 """Coordinates near a null at which there is no derivative (of the inverse of an acceleration), or
@@ -49,10 +55,27 @@ def run_score_tests(task: EnsembleTask, base: Fits, effects: Sequence[str]) -> d
     if not groups:
         return found
     fits = ensemble.evaluate(task, ensemble.join(*(_free(task, base, x) for x in groups)))
-    equations = ensemble.normal_equations(task, fits)
+    parts = ensemble.split_by_push(task, fits)
+    shares = _SCATTERS if task.estimate_scatter and task.mu_free else _SCATTERS[:1]
+    scatters = shares[:, None] * fits.scatter
+    tried = [ensemble.normal_equations(task, fits, s, parts) for s in scatters]
+    known = task.conditions + len(task.shared) + len(base.extra[0])
     for j, group in enumerate(groups):
-        found |= _test_group(task, base, fits.c[j], (equations.H[j], equations.g[j]), group)
+        tests = [_test_group(task, base, fits.c[j], (x.H[j], x.g[j]), group) for x in tried]
+        both = zip(tried, scatters[:, j], strict=True)
+        left = [_predict_cost(x, j, known, s) for x, s in both]
+        for effect, one in tests[0].items():
+            with_it = min(x - test[effect].drop for x, test in zip(left, tests, strict=True))
+            found[effect] = replace(one, drop=max(min(left) - with_it, 0.0))
     return found
+
+
+def _predict_cost(tried: NormalEquations, j: int, known: int, scatter: float) -> float:
+    """Return -2 log likelihood, but for a constant, of the fit j at a scatter, with the first
+    `known` of its parameters where its linear model is best."""
+    H, g = tried.H[j, :known, :known], tried.g[j, :known]
+    step = ensemble.solve(H[None], g[None])[0]
+    return float(tried.cost[j] + g @ step + np.log1p(scatter**2 * tried.z[j]).sum())
 
 
 def _split_into_groups(task: EnsembleTask, base: Fits, effects: Sequence[str]) -> list[list[str]]:

@@ -8,8 +8,10 @@ from math import isfinite
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from difffric.calibration.result import Fit
+from difffric.diagnosis.cross_validation import Remaining
 from difffric.diagnosis.data import DiagnosisData
 from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.impossible_measurements import Certificate
@@ -25,6 +27,29 @@ from difffric.rig.setup import Setup
 
 ADEQUATE, NAMED, AMBIGUOUS, UNEXPLAINED = "adequate", "named", "ambiguous", "unexplained"
 _RATIO_TEXT = "mu_k / mu_s is not what the set-up says"
+_DRIFT, _DWELL = "friction_drift.drift", "static_dwell.amplitude"
+_TAU = next(key.null for key in CATALOGUE["static_dwell"].keys if key.name == "tau_s")
+"""Time [s] after which a rest begins to count, which is fixed."""
+_STEP = 1e-3
+"""Relative change of mu_s by which F_p and d are differentiated: far above the error with which
+a push is followed, and so small that nothing but the slope is seen."""
+_TELLS = 0.1
+"""Relative change of F_p, or of d, by that of mu_s: below, nobody infers mu_s from it."""
+
+
+@dataclass(frozen=True)
+class Changes:
+    """What an effect changes: relative, root mean square over the pushes."""
+
+    mu_s: float
+    """of the mu_s that is inferred, all that is free fitted anew without the effect"""
+    peak_force: float
+    """of F_p, all else as it is"""
+    sliding_distance: float
+    """of d likewise"""
+    as_mu_s: float
+    """the largest of the three as a share of mu_s: F_p and d count as the change of mu_s that
+    changes them as much"""
 
 
 @dataclass(frozen=True)
@@ -50,11 +75,14 @@ class Cause:
     heldout_gain: float
     """drop of -2 log likelihood of held-out pushes"""
     change_mu_s: float = 0.0
-    """relative change (rms over the pushes) of the identified mu_s, all causes together"""
+    """relative change (rms over the pushes) of the identified mu_s, against a fit without it"""
     change_peak_force: float = 0.0
     """relative change (rms over the pushes) of F_p that it makes"""
     change_sliding_distance: float = 0.0
     """the same of d"""
+    change_as_mu_s: float = 0.0
+    """the largest of the three as a share of mu_s, which decides whether it matters: F_p and d
+    count as the change of mu_s that changes them as much"""
 
     @property
     def change(self) -> float:
@@ -80,6 +108,7 @@ class Cause:
             "change_mu_s": self.change_mu_s,
             "change_peak_force": self.change_peak_force,
             "change_sliding_distance": self.change_sliding_distance,
+            "change_as_mu_s": self.change_as_mu_s,
         }
 
 
@@ -126,10 +155,12 @@ class Diagnosis:
     causes: tuple[Cause, ...]
     """what the set-up lacks, the largest change first"""
     negligible: tuple[Cause, ...]
-    """effects that are significant, and too small to matter"""
+    """effects that are significant, and change less than what matters"""
     location: Location | None
     """where the misfit sits that no cause explains"""
     gain: HeldOutGain
+    remaining: Remaining | None
+    """what is left beyond the noise; None: nothing, or the noise is not known"""
     not_visible: tuple[str, ...]
     """effects that these data cannot show, or not at their typical sizes"""
     impossible: dict[str, str]
@@ -141,7 +172,9 @@ class Diagnosis:
     setup: Setup
     """the same as it is written to a file"""
     mu_s: tuple[float, ...]
-    """of each push, by the extended model"""
+    """of each push, drift and dwell included, by the model with all that was detected"""
+    change_mu_s: float = 0.0
+    """relative change (rms over the pushes) of these by all causes together"""
     considered: tuple[Cause, ...] = ()
     """the leading effects on top of the plain model alone, the best first"""
     certificates: tuple[Certificate, ...] = ()
@@ -171,17 +204,21 @@ class Diagnosis:
             "location": None if self.location is None else self.location.component,
             "shape": None if self.location is None else self.location.as_dict(),
             "gain": self.gain.as_dict(),
+            "remaining": None if self.remaining is None else self.remaining.as_dict(),
             "not_visible": list(self.not_visible),
             "impossible": dict(self.impossible),
             "next_experiment": self.experiments[0].as_dict() if self.experiments else None,
             "experiments": [one.as_dict() for one in self.experiments],
             "misfit": [one.as_dict() for one in self.misfit],
             "mu_s": list(self.mu_s),
+            "change_mu_s": self.change_mu_s,
             "notes": list(self.notes),
         }
 
     def __str__(self) -> str:
         lines = [f"[[Diagnosis]] {self.verdict}"]
+        if self.remaining is not None:
+            lines.append(f"    {self.remaining}")
         if self.p_value is not None:
             lines.append(f"    lack of fit of the plain model: p = {self.p_value:.2g}")
         if self.certificates:
@@ -213,7 +250,7 @@ class Diagnosis:
 
 def describe_cause(
     task: EnsembleTask,
-    plain: Fits,
+    without: Fits,
     at: Fits,
     candidate: CandidateCause,
     alike: Sequence[str],
@@ -222,8 +259,9 @@ def describe_cause(
 ) -> Cause:
     """Describe a candidate by its numbers in the fit `at` and by what it changes there.
 
-    `plain` and `at` are ensembles of one; `alike` names the effects that it is confused with,
-    `predicted` is the score test's drop of chi-square and `gain` the drop on held-out pushes.
+    `without` is the same fit without it, all else fitted anew (both ensembles of one); `alike`
+    names the effects that it is confused with, `predicted` is the score test's drop of chi-square
+    and `gain` the drop on held-out pushes.
     """
     effect, coordinates = candidate.effect, task.model.coordinates
     C = ensemble.covariance(task, at)[0][task.conditions :, task.conditions :]
@@ -231,8 +269,7 @@ def describe_cause(
     keys = ["ratio" if effect == RATIO else name.partition(".")[2] for name in names]
     errors = coordinates.errors(at.c[0], names, [*task.shared, *at.extra[0]], C)
     pairs = zip(coordinates.values(at.c[0], names), errors, strict=True)
-    moved = at.mu[0, task.condition] + at.own[0] - plain.mu[0, task.condition] - plain.own[0]
-    force, distance = measure_changes(task, plain, at, effect)
+    changes = measure_changes(task, without, at, effect)
     return Cause(
         id=effect,
         component=component_of(effect),
@@ -244,23 +281,52 @@ def describe_cause(
         chi2_drop_predicted=predicted,
         p_value=candidate.p_value,
         heldout_gain=gain,
-        change_mu_s=float(np.sqrt(np.mean(moved**2))),
-        change_peak_force=force,
-        change_sliding_distance=distance,
+        change_mu_s=changes.mu_s,
+        change_peak_force=changes.peak_force,
+        change_sliding_distance=changes.sliding_distance,
+        change_as_mu_s=changes.as_mu_s,
     )
 
 
-def measure_changes(task: EnsembleTask, plain: Fits, at: Fits, effect: str) -> tuple[float, float]:
-    """Return the relative changes (rms over the pushes) of F_p and d that an effect makes, all
-    else as it is in the fit `at` (an ensemble of one)."""
-    index = task.model.coordinates.indices(numbers_of(effect))
-    c = np.repeat(at.c, 2 * task.n, axis=0)
-    c[:, 0] = np.tile(at.mu[0, task.condition] + at.own[0], 2)
-    c[task.n :, index] = plain.c[0, index]
-    push = np.tile(np.arange(task.n), 2)
-    answers = task.model.answers(push, c, np.zeros((0, c.shape[1]))).model.reshape(2, task.n, 2)
+def measure_changes(task: EnsembleTask, without: Fits, at: Fits, effect: str) -> Changes:
+    """Measure what an effect changes in the fit `at`; `without` is a fit that lacks it (both
+    ensembles of one).
+
+    Pushes without a d, with the effect or without it, say nothing of d.
+    """
+    n, index = task.n, task.model.coordinates.indices(numbers_of(effect))
+    c = np.repeat(at.c, 4 * n, axis=0).reshape(4, n, -1)
+    c[:, :, 0] = at.mu[0, task.condition] + at.own[0]
+    c[1][:, index] = without.c[0, index]
+    c[2:, :, 0] += np.array([[_STEP], [-_STEP]])
+    none = np.zeros((0, c.shape[2]))
+    answers = task.model.answers(np.tile(np.arange(n), 4), c.reshape(4 * n, -1), none)
+    there, without_it, up, down = answers.model.reshape(4, n, 2)
     with np.errstate(invalid="ignore", divide="ignore"):
-        change = answers[0] / answers[1] - 1
-    change = np.where(np.isfinite(change), change, 0.0)
-    force, distance = np.sqrt(np.mean(change**2, axis=0)).tolist()
-    return force, distance
+        change = there / without_it - 1
+        slope = (up - down) / (2 * _STEP * there)
+    force, distance = (_take_rms(x) for x in change.T)
+    moved = _take_rms(find_friction(task, at) - find_friction(task, without))
+    slopes = (max(_take_rms(x), _TELLS) for x in slope.T)
+    by_force, by_distance = (x / y for x, y in zip((force, distance), slopes, strict=True))
+    return Changes(moved, force, distance, max(moved, by_force, by_distance))
+
+
+def _take_rms(x: NDArray) -> float:
+    """Return the root mean square of what is finite of x (n,), 0 where nothing is."""
+    x = x[np.isfinite(x)]
+    return float(np.sqrt(np.mean(x**2))) if len(x) else 0.0
+
+
+def find_friction(task: EnsembleTask, fits: Fits) -> NDArray:
+    """Return the log mu_s (n,) that each push had by a fit (an ensemble of one): with the drift up
+    to it, and what static friction grew by in the rest before it."""
+    coordinates, pushes = task.model.coordinates, task.model.pushes
+    found = fits.mu[0, task.condition] + fits.own[0]
+    if _DRIFT in coordinates.names:
+        (drift,) = coordinates.values(fits.c[0], (_DRIFT,))
+        found = found + np.log1p(drift * np.asarray(pushes.share))
+    if _DWELL in coordinates.names:
+        (amplitude,) = coordinates.values(fits.c[0], (_DWELL,))
+        found = found + np.log1p(amplitude * np.log1p(np.asarray(pushes.rest) / _TAU))
+    return found

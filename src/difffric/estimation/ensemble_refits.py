@@ -276,6 +276,11 @@ class HeldOut(NamedTuple):
     surprise: NDArray
     """(m, n) -2 log likelihood but for a constant, each push's own mu_s averaged over: what
     explains the scatter of mu_s, as a drift does, gains here and not in the squares"""
+    expected: NDArray
+    """(m, n) what noise alone leaves of the penalised squares on average, the error of a fit to
+    the other folds included"""
+    variance: NDArray
+    """(m, n) of the same"""
 
 
 def predict_held_out(task: EnsembleTask, fits: Fits, folds: NDArray) -> HeldOut:
@@ -292,25 +297,41 @@ def predict_held_out(task: EnsembleTask, fits: Fits, folds: NDArray) -> HeldOut:
     limits, now = _find_limits(task, fits), _gather_point(task, fits)
     c = np.repeat(fits.c[:, None], task.n, axis=1)
     mu = np.zeros((fits.m, task.n))
+    noise = np.zeros((2, fits.m, task.n))
     for fold in np.unique(folds):
         out = folds == fold
         H, g = H_i[:, ~out].sum(axis=1), g_i[:, ~out].sum(axis=1)
         at = _place_at(task, fits, now + solve_within(H, g, now, *limits))
         c[:, out], mu[:, out] = at.c[:, None], at.mu[:, task.condition[out]]
-    found = _predict(task, fits, c, mu)
+        noise[:, :, out] = _foresee_squares(task, H, H_i[:, out], np.flatnonzero(out))
+    found = _predict(task, fits, c, mu, noise)
     seen = np.einsum("mnk,mk->mn", fits.gram[..., -1, -1], 1.0 / fits.spread**2)
     numbers = task.counts.sum(axis=1)
     jumps = found.squares > seen + _JUMP * np.sqrt(2 * numbers)
     branches = _choose_branches(task, fits, jumps, c, mu)
     if branches is not fits:
-        fits, found = branches, _predict(task, branches, c, mu)
+        fits, found = branches, _predict(task, branches, c, mu, noise)
     astray = found.squares > _ASTRAY * (seen + numbers)
     for j, fold in {(j, folds[i]) for j, i in np.argwhere(astray)}:
         out = folds == fold
         at = replace(fits.pick([j]), gram=None, residual=None, damping=None)
         at = refit(task, at, _ANEW, np.flatnonzero(~out))
         c[j, out], mu[j, out] = at.c, at.mu[0, task.condition[out]]
-    return _predict(task, fits, c, mu) if astray.any() else found
+    return _predict(task, fits, c, mu, noise) if astray.any() else found
+
+
+def _foresee_squares(task: EnsembleTask, H: NDArray, H_i: NDArray, which: NDArray) -> NDArray:
+    """The mean and the variance (2, m, which) of the penalised squares of pushes `which`, held out
+    of a fit with the normal equations H (m, P, P), to which each would add H_i (m, which, P, P)."""
+    zeros = task.model.recordings * (task.counts[which, 1] > 0)  # each position has its own zero
+    numbers = task.counts[which].sum(axis=1) - zeros
+    columns = np.moveaxis(H_i, 1, 2).reshape(*H.shape[:2], -1)
+    # What the other folds do not determine is held where it is, and foreseen without an error.
+    share = np.stack([-en.solve(H, columns[:, :, k]) for k in range(columns.shape[2])], axis=2)
+    share = np.moveaxis(share.reshape(*H.shape[:2], len(which), -1), 2, 1)
+    first = np.einsum("mnpp->mn", share)
+    second = np.einsum("mnpq,mnqp->mn", share, share)
+    return np.stack([numbers + first, 2 * (numbers + 2 * first + second)])
 
 
 def _choose_branches(
@@ -330,9 +351,9 @@ def _choose_branches(
     return replace(fits, own=own)
 
 
-def _predict(task: EnsembleTask, fits: Fits, c: NDArray, mu: NDArray) -> HeldOut:
+def _predict(task: EnsembleTask, fits: Fits, c: NDArray, mu: NDArray, noise: NDArray) -> HeldOut:
     """What pushes followed at coordinates c (m, n, K) and log mu_s mu (m, n) say, with their own
-    mu_s estimated anew."""
+    mu_s estimated anew; `noise` (2, m, n) are the mean and the variance of what it alone leaves."""
     own, c = fits.own, c.copy()
     squares, penalised, surprise = np.full((3, fits.m, task.n), np.inf)
     for _ in range(2):
@@ -357,4 +378,4 @@ def _predict(task: EnsembleTask, fits: Fits, c: NDArray, mu: NDArray) -> HeldOut
         volume = np.where(np.isfinite(zz), np.log1p(zz / s), 0.0)
         penalised = np.minimum(penalised, value + s * own**2)
         surprise = np.minimum(surprise, value + s * own**2 + volume)
-    return HeldOut(squares, penalised, surprise)
+    return HeldOut(squares, penalised, surprise, *noise)

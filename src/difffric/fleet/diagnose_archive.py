@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from difffric.compute.precision import require_float64
-from difffric.diagnosis.procedure import NEGLIGIBLE, PUSH, SPEED
+from difffric.diagnosis.procedure import MATTERS, PUSH, SPEED
 from difffric.diagnosis.shape_scan import SHAPED
 from difffric.errors import InputError
 from difffric.estimation.extended_model import PRESLIDING
@@ -40,7 +40,7 @@ def diagnose_fleet(
     setup: str | os.PathLike | None = None,
     n_workers: int = 1,
     scheduler: str | None = None,
-    negligible: float = NEGLIGIBLE,
+    matters: float = MATTERS,
     held_out: str = PUSH,
     use_data_mass: bool = False,
     tell: Tell = silent,
@@ -67,7 +67,7 @@ def diagnose_fleet(
     files: dict[str, list[ArchiveFile]] = {}
     for source in sources:
         files.setdefault(source.rig, []).append(source)
-    options = {"negligible": negligible, "held_out": held_out, "use_data_mass": use_data_mass}
+    options = {"matters": matters, "held_out": held_out, "use_data_mass": use_data_mass}
     with open_folder(out), start_workers(n_workers, scheduler) as run:
         kept = (out / RIGS).absolute()
         rigs = {

@@ -12,14 +12,17 @@ from tests.unit.diagnosis.prediction import prediction_error
 
 
 class Analysis:
-    """A case on disk, its diagnosis, and the prediction of pushes that it has not seen."""
+    """A case on disk, its diagnosis, and the prediction of pushes that it has not seen.
 
-    def __init__(self, case, folder):
+    All that shows is a cause, however little it changes, unless another `matters` is given.
+    """
+
+    def __init__(self, case, folder, matters=0.0):
         self.case, self.folder = case, folder
         self.path = write(case, folder)
         self.setup = read_setup(folder / "setup.toml")
         self.options = {"use_data_mass": len(case.masses) > 1}
-        self.found = df.diagnose(self.setup, df.load(self.path), **self.options)
+        self.found = df.diagnose(self.setup, df.load(self.path), matters=matters, **self.options)
 
     @property
     def first(self) -> set[str]:

@@ -10,7 +10,7 @@ from difffric.number_text import format_number
 from difffric.units import to_mm, to_mm_min, to_um
 
 _VERDICTS = {
-    ADEQUATE: "The plain model is adequate: no effect of the catalogue is needed.",
+    ADEQUATE: "The plain model is adequate: nothing that matters was found.",
     NAMED: "The cause is named.",
     AMBIGUOUS: "There is a cause, but these data cannot tell it from others.",
 }
@@ -36,7 +36,10 @@ def _list_cause(cause: Cause) -> list[str]:
         format_number(cause.probability, 3),
         ", ".join(cause.confusable_with) or "–",
         format_number(cause.chi2_drop),
-        f"{_format_share(cause.change_peak_force)}, {_format_share(cause.change_sliding_distance)}",
+        ", ".join(
+            _format_share(x)
+            for x in (cause.change_peak_force, cause.change_sliding_distance, cause.change_as_mu_s)
+        ),
     ]
 
 
@@ -47,7 +50,7 @@ _COLUMNS = (
     "probability",
     "confusable with",
     "drop of χ²",
-    "changes F_p, d",
+    "changes F_p, d, as mu_s",
 )
 
 
@@ -94,8 +97,9 @@ def tabulate_experiments(found: Diagnosis) -> Table:
 
 def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
     """Return the report of a diagnosis; with figures where there are to be pictures."""
-    g = found.gain
-    summary = [_VERDICTS.get(found.verdict, _UNEXPLAINED)]
+    g, left = found.gain, found.remaining
+    summary = [] if left is None else [f"{str(left).capitalize()}."]
+    summary.append(_VERDICTS.get(found.verdict, _UNEXPLAINED))
     summary += [f"{cause.id}: {cause.text}." for cause in found.causes]
     summary.append(
         f"Error on held-out pushes, in units of the noise: {format_number(g.before, 3)} before, "
@@ -108,7 +112,7 @@ def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
             f"{where.quantity} explains {100 * where.explained[where.form]:.0f} % of it."
         )
     if found.causes:
-        moved = format_number(100 * found.causes[0].change_mu_s, 2)
+        moved = format_number(100 * found.change_mu_s, 2)
         summary.append(f"The identified mu_s changes by {moved} % (rms over the pushes).")
     sections = []
     if found.causes:
