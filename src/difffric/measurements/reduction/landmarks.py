@@ -23,6 +23,11 @@ from difffric.measurements.reduction.local_polynomials import (
 
 POINT = 5e-5
 """Time resolution of a search [s]; estimates use the samples themselves."""
+_WIDER = (2.0, 1.5, 1.2)
+"""Times what looks still at the end that are searched for a motion too slow to show in it; fewer
+where a slip before it does not belong to that motion."""
+_SMOOTH = 2.0
+"""A reduced chi-square up to which a parabola is a motion that slows down."""
 
 
 def coarsen(channel: Channel, noise: Noise) -> Stretch:
@@ -210,12 +215,16 @@ def find_rest(position: Channel, noise: Noise, velocity: float) -> LocalEstimate
     still = count_still(coarse.y, coarse.noise)
     if still < 8:
         return None
-    wide = min(max(2 * still, 16), n)
-    centre, scale = coarse.t[-1], coarse.t[-1] - coarse.t[n - wide]
-    fit = fit_window(coarse, n - wide, n, centre, scale, powers(2))
-    speed, se = fit.coefficients[1] / scale, fit.se(1) / scale
-    if speed > max(4 * se, 1e-3 * velocity):
-        return None
+    centre = coarse.t[-1]
+    for share in _WIDER:
+        wide = min(max(int(share * still), 16), n)
+        scale = centre - coarse.t[n - wide]
+        fit = fit_window(coarse, n - wide, n, centre, scale, powers(2))
+        if fit.reduced_chi2 < _SMOOTH:
+            speed, se = fit.coefficients[1] / scale, fit.se(1) / scale
+            if speed > max(4 * se, 1e-3 * velocity):
+                return None
+            break
     # The first part of what looks still may hide the last of the motion.
     mean = fit_window(coarse, n - max(8, int(0.8 * still)), n, centre, scale, powers(0))
     return LocalEstimate(mean.coefficients[0], mean.se(), coarse.t[n - still])

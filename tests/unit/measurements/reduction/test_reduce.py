@@ -494,3 +494,13 @@ def test_practice_data(name):
         assert np.abs(z).max() < 4
     contacts = [p["contacts"] for p in truth["pushes"]]
     assert [len(r.onsets) for r in reduction.details] == contacts
+
+
+def test_a_slip_that_ends_stuck_comes_to_rest():
+    """It slips 0.4 mm in 30 ms, half way to the end: a parabola through it does not end flat."""
+    t, rng = np.arange(-0.5, 4.0, 2e-3), np.random.default_rng(3)
+    x = 4e-4 * np.clip((t - 2) / 0.03, 0, 1) + LEVEL_M * rng.standard_normal(len(t))
+    position = Channel.of(x, 2e-3, t[0], "m")
+    found = reduce_push(Recording(2e-4, None, position))
+    assert not found.problem and found.rest_time == pytest.approx(2.03, abs=0.01)
+    assert found.rest_position == pytest.approx(4e-4, abs=1e-7)
