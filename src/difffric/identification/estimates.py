@@ -24,6 +24,10 @@ WAYS = {
 }
 """The ways to mu_s, as results name them, and in words."""
 
+MISFIT = 2.0
+"""A reduced chi-square of a whole recording above this says that the model does not follow it:
+noise alone brings that of a hundred samples to 1.5 once in a thousand recordings."""
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -97,12 +101,28 @@ class PushFriction:
     trace_reduced_chi2: float | None = None
     """how well the model with that mu_s fits the recording; 1: to the noise"""
     name: str = ""
+    trace_disagreement: float | None = None
+    """that of the whole recording minus that of force and distance (of the slide where they give
+    none), in standard deviations of the difference"""
+
+    @property
+    def misfits(self) -> bool:
+        """Whether the model does not follow the whole recording."""
+        return self.trace_reduced_chi2 is not None and self.trace_reduced_chi2 > MISFIT
+
+    @property
+    def best_way(self) -> str | None:
+        """The way to the best estimate (`WAYS`): of those that fit, that which uses most of the
+        data."""
+        order = ["mu_s_trace", "mu_s_optimal", "mu_s_slide"]
+        if self.misfits:
+            order = [*order[1:], order[0]]
+        return next((way for way in order if getattr(self, way).value is not None), None)
 
     @property
     def best(self) -> Estimate:
-        """The estimate that uses most of the data."""
-        order = (self.mu_s_trace, self.mu_s_optimal, self.mu_s_slide)
-        return next((x for x in order if x.value is not None), NONE)
+        """The estimate that uses most of the data, of those that fit."""
+        return NONE if self.best_way is None else getattr(self, self.best_way)
 
     def as_dict(self) -> dict:
         """As `result.json` holds it."""
@@ -115,6 +135,8 @@ class PushFriction:
             "alternatives": list(self.alternatives),
             "disagreement_in_standard_deviations": self.disagreement,
             "trace_reduced_chi2": self.trace_reduced_chi2,
+            "trace_disagreement_in_standard_deviations": self.trace_disagreement,
+            "best": self.best_way,
             "reason": self.reason,
             "name": self.name or None,
         }
@@ -163,4 +185,4 @@ class Identified(Sequence[PushFriction]):
             speed = "       –" if np.isnan(p.velocity) else f"{to_mm_min(p.velocity):8.0f}"
             cells = "".join(f"{getattr(p, w)!s:<20}" for w in used)
             lines.append(f"{speed}  {cells}{p.reason or ''}".rstrip())
-        return "\n".join(lines)
+        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from difffric.estimation import coordinates
+from difffric.identification.agreement import describe_agreement, judge_recording
 from difffric.identification.combination import combine
 from difffric.identification.estimates import NONE, Estimates, Identified, PushFriction
 from difffric.identification.free_slide import estimate_by_slides
@@ -55,6 +56,10 @@ def identify(
     Where several mu_s give the measured d, the one whose F_p is nearest to the measured one is
     taken (without a force, the smallest), and all stand in `alternatives`.
 
+    A whole recording that the model does not follow is passed over for force and distance, or its
+    standard error widened where they give nothing (`agreement`); the row's `reason` says so, and
+    `notes` where the ways differ.
+
     Raises `InputError` for data that cannot be used with the rig (`measurements.checks`).
     """
     known = Calibration.read(rig)
@@ -86,7 +91,7 @@ def identify(
         tell("fitting every sample", 0.6)
         answers = _add_recordings(known, resolved, reduction, answers)
     tell("done", 1.0)
-    return Identified(tuple(answers), pushes.skipped)
+    return Identified(tuple(answers), pushes.skipped, describe_agreement(answers))
 
 
 def _add_slides(
@@ -123,9 +128,9 @@ def _add_recordings(
     every = coordinates.names(known.rig)
     J = found.by_coordinate[:, [every.index(n) for n in known.names]]
     shared = found.mu_s[:, None] * np.einsum("ni,nij->nj", J, resolved.roots)
-    error = np.sqrt(found.mu_s**2 * found.own_variance + np.sum(shared**2, axis=1))
-    estimates = Estimates(found.mu_s, error, shared)
-    return [
+    own = found.mu_s * np.sqrt(found.own_variance)
+    estimates = Estimates(found.mu_s, np.sqrt(own**2 + np.sum(shared**2, axis=1)), shared)
+    whole = [
         replace(
             x,
             mu_s_trace=estimates.row(i),
@@ -134,3 +139,4 @@ def _add_recordings(
         )
         for i, x in enumerate(answers)
     ]
+    return [judge_recording(x, float(error)) for x, error in zip(whole, own, strict=True)]

@@ -57,6 +57,10 @@ def draw_identified(found: Identified, velocity: NDArray) -> Figure:
                     **OPEN_MARKS,
                     label=condition or "each push",
                 )
+        misfits = np.array([p.misfits for p in found])
+        if misfits.any() and "mu_s_trace" in ways:
+            ax = axes.flat[ways.index("mu_s_trace")]
+            ax.plot(v[misfits], found.values("mu_s_trace")[misfits], "x", color="#666", ms=9)
         for ax, way in zip(axes.flat, ways, strict=False):
             ax.set_title(_TITLES[way], fontsize=10)
         known = np.concatenate([found.values(way) for way in ways])

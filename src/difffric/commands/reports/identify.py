@@ -97,7 +97,7 @@ def report_friction(
             Picture(
                 "mu_s_ways",
                 "mu_s of each push by each way to it, one standard error; dotted: mean of the best "
-                "estimates.",
+                "estimates; crossed out: a whole recording that the model does not follow.",
                 figures.identify.draw_identified(found, velocity),
             ),
             Picture(
@@ -107,8 +107,9 @@ def report_friction(
             ),
         ]
     text = (
-        "The best estimate is from the whole recording where there is one, else the optimal "
-        "combination of force and distance, else the free slide. A push's standard error carries "
+        "The best estimate is from the whole recording where there is one that fits (its "
+        "chi-square, 1 to the noise, is shown where one does not), else the optimal combination of "
+        "force and distance, else the free slide. A push's standard error carries "
         "the calibration's; that of a condition's mean comes from how its pushes differ and from "
         "the calibration's error, which they share.",
     )
@@ -133,12 +134,6 @@ def _summarise(found: Identified, answer: dict) -> list[str]:
     none = sum(p.best.value is None for p in found)
     if none:
         lines.append(f"{none} of {len(found)} pushes give no mu_s: the table says why.")
-    far = [p for p in found if abs(p.disagreement or 0.0) > 3]
-    if far:
-        lines.append(
-            f"In {len(far)} of {len(found)} pushes force and distance differ by more than three "
-            "standard errors: the model or the set-up is not right for these data."
-        )
     if answer["stroke"] and any(not np.isnan(p.velocity) for p in found):
         lines.append(answer["stroke"])
     lines += [f"Note: {note}." for note in found.notes]
@@ -150,6 +145,7 @@ def _summarise(found: Identified, answer: dict) -> list[str]:
 def _tabulate_pushes(found: Identified, velocity: NDArray) -> Table:
     ways = [way for way in WAYS if np.isfinite(found.values(way)).any()]
     both = any(p.disagreement is not None for p in found)
+    bad = any(p.misfits for p in found)
     rows = []
     for i, p in enumerate(found):
         row = [p.name or str(i + 1), format_number(to_mm_min(velocity[i]), 5), p.condition or "–"]
@@ -157,6 +153,8 @@ def _tabulate_pushes(found: Identified, velocity: NDArray) -> Table:
             one = getattr(p, way)
             value, error = format_pair(one.value, one.standard_error)
             row.append(value if error == "–" else f"{value} ± {error}")
+        if bad:
+            row.append(format_number(p.trace_reduced_chi2, 3))
         if both:
             row.append(format_number(p.disagreement, 2))
         words = [p.reason or ""]
@@ -164,7 +162,8 @@ def _tabulate_pushes(found: Identified, velocity: NDArray) -> Table:
             others = [x for x in p.alternatives if x != p.mu_s_distance.value]
             words.append(f"d also from {', '.join(format_number(x, 3) for x in others)}")
         rows.append([*row, "; ".join(x for x in words if x)])
-    columns = ["push", "mm/min", "", *(WAYS[way] for way in ways), *["F − d [σ]"] * both, ""]
+    measures = ["chi²"] * bad + ["F − d [σ]"] * both
+    columns = ["push", "mm/min", "", *(WAYS[way] for way in ways), *measures, ""]
     return Table("mu_s of each push", columns, rows)
 
 
