@@ -215,9 +215,13 @@ class _Contest:
 
     def polish_best(self) -> Settled:
         """The optimum of the marginal likelihood that is the best of those near the best fits."""
-        near = [at for cost, at, _ in self.fits if cost < self.fits[0][0] + _NEAR][:_POLISHED]
-        done = [polish(self.model, self.data, at) for at in near]
-        return min(done, key=lambda at: at.components.criterion)
+        done: list[tuple[float, Settled]] = []
+        for cost, at, _ in self.fits:
+            if cost > self.fits[0][0] + _NEAR or len(done) == _POLISHED:
+                break
+            if all(cost - known > ALIKE for known, _ in done):
+                done.append((cost, polish(self.model, self.data, at)))
+        return min((at for _, at in done), key=lambda at: at.components.criterion)
 
     def _settle(self, start: Settled) -> Settled:
         done = settle(self.model, self.data, start)

@@ -43,6 +43,8 @@ _GUARD = 2e-5
 """How far a free start may move a jump [s]: samples that near are left out."""
 _LAST_ROUNDS = 4
 """Rounds between mode and variances that are as good as all, once the start is near."""
+_ROUGH_STEPS = 15
+"""Steps of a fit of F_p that only leads to where the samples decide."""
 _SAME_JUMPS = 2e-6
 """Jumps that moved by less than this [s] leave out the same samples."""
 _POOR = 1.15
@@ -108,13 +110,14 @@ class RecordingSearch:
         rig = self.model.rig
         rig, data = table_data(rig, self.reduction.pushes, rig.sensor_errors)
         sd = np.hypot(1.0 / np.maximum(data.rough, 1e-300), [0.0, _LOOSE])
-        data = replace(data, rough=np.where(data.rough > 0, 1.0 / sd, 0.0))
+        rough = np.where(data.rough > 0, 1.0 / sd, 0.0)
+        data = replace(data, rough=rough, in_few_steps=True)
         return replace(self.model, rig=rig, free_start=False), data
 
     def _start_from_forces(self) -> list[Settled]:
         """Where F_p alone and then d too lead."""
         model, data = self._stack_loose_table()
-        found = fit_forces(model, data, self.box)
+        found = fit_forces(model, data, self.box, _ROUGH_STEPS)
         if found is None:
             return []
         starts = [found.theta, self.box[0]]

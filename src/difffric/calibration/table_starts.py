@@ -16,6 +16,7 @@ from difffric.calibration.batched_answers import BATCH, compute_answers, stack_m
 from difffric.calibration.free_parameters import USUAL_SCATTER
 from difffric.estimation.coordinates import to_coordinate
 from difffric.estimation.descent import Model, Settled, descend, first_point, linearise_at, take_end
+from difffric.estimation.mixed_model import MAX_STEPS
 from difffric.estimation.stacked_data import FitData
 from difffric.rig import parameters
 from difffric.units import GRAVITY
@@ -79,8 +80,11 @@ def _rank_answers(answers: NDArray, measured: NDArray) -> NDArray:
     return each @ np.ones(len(measured))
 
 
-def fit_forces(model: Model, data: FitData, box: list[NDArray]) -> Settled | None:
-    """Where F_p alone leads, with k_v held as it is; None where the model gives no number.
+def fit_forces(
+    model: Model, data: FitData, box: list[NDArray], steps: int = MAX_STEPS
+) -> Settled | None:
+    """Where F_p alone leads in so many steps at most, with k_v held as it is; None where the model
+    gives no number.
 
     F_p hardly depends on k_v. Starts are tried until the two best of three lead to one point.
     """
@@ -95,7 +99,7 @@ def fit_forces(model: Model, data: FitData, box: list[NDArray]) -> Settled | Non
     best, costs = None, []
     for theta in box:
         at = first_point(model, forces, theta)
-        end = descend(model, forces, at, held, weights, scatter, 1.0)
+        end = descend(model, forces, at, held, weights, scatter, 1.0, steps)
         chi2 = float(end.chi2)
         if np.isfinite(chi2) and (best is None or chi2 < min(costs)):
             best = replace(take_end(at, end, held, scatter), weights=weights)

@@ -23,8 +23,8 @@ _MANY = 5
 """Pushes from which a scatter can be averaged over: fewer leave its variance without a mean."""
 _SCATTERS = 60
 """Scatters that an average is taken over, evenly spaced in their logarithm."""
-_LEAST_SCATTER = 1e-6
-"""A scatter below this is none."""
+_LEAST_SCATTER, _NO_SCATTER = 1e-6, 1e-7
+"""A scatter below the first is none; its logarithm is then that of the second."""
 _ELSEWHERE = (1e-5, 0.01, 0.1)
 """Scatters that a search starts from besides the guess: the likelihood may have a maximum at none
 and another beside it."""
@@ -140,38 +140,50 @@ def estimate_variances(
     """The variances that maximise the restricted likelihood, from a first guess and, to
     `search`, from other scatters too.
 
-    The scatter is estimated only where `estimate` says so. The covariance allows for what is not
-    known of it (`average_over_scatters`). Degrees of freedom are for the spreads: Satterthwaite,
-    Biometrics Bulletin 2 (1946), with the variances' own covariance from the likelihood; and for
-    the scatter where pushes are too few to average over it.
+    The scatter is estimated only where `estimate` says so; what follows from the variances is as
+    `describe_variances` has it.
     """
     first = [max(scatter, 1e-4)] if estimate else []
     guess = np.log([*first, *np.maximum(spreads, model.least)])
-    P = model.prior.shape[0] - 1
-
-    def unpack(x: NDArray) -> tuple[float, NDArray]:
-        s = float(np.exp(x[0])) if estimate else scatter
-        return (0.0 if s < _LEAST_SCATTER else s), np.exp(x[1:] if estimate else x)
-
+    unpack = _unpack_by(scatter, estimate)
     best = guess
     if len(guess):
-        limits = [(np.log(1e-7), np.log(1.0))] if estimate else []
+        limits = [(np.log(_NO_SCATTER), np.log(1.0))] if estimate else []
         limits += [(np.log(least), np.log(least) + 20.0) for least in model.least]
         starts = [guess]
         if estimate and search:
             starts += [np.array([x, *guess[1:]]) for x in np.log(_ELSEWHERE)]
         best = _maximise(lambda x: model.evaluate(*unpack(x))[0], starts, limits)
-    s, spread = unpack(best)
-    criterion, X, Xr, rr = model.evaluate(s, spread)
+    return describe_variances(model, *unpack(best), estimate)
+
+
+def describe_variances(
+    model: LinearModel, scatter: float, spreads: NDArray, estimate: bool
+) -> Components:
+    """What a scatter and spreads (groups,) leave of the shared parameters; `estimate` says whether
+    the scatter was estimated.
+
+    The covariance allows for what is not known of it (`average_over_scatters`). Degrees of freedom
+    are for the spreads: Satterthwaite, Biometrics Bulletin 2 (1946), with the variances' own
+    covariance from the likelihood; and for the scatter where pushes are too few to average over it.
+    """
+    first = [max(scatter, _NO_SCATTER)] if estimate else []
+    P = model.prior.shape[0] - 1
+    criterion, X, Xr, rr = model.evaluate(scatter, spreads)
     covariance = invert_information(X)
     many = estimate and len(model.known) >= _MANY
     freedom, relative = _approximate_freedom(
-        model, unpack, best, covariance, P, scatter_too=not many
+        model,
+        _unpack_by(scatter, estimate),
+        np.log([*first, *spreads]),
+        covariance,
+        P,
+        scatter_too=not many,
     )
     return Components(
-        scatter=s,
-        spreads=spread,
-        covariance=average_over_scatters(model, spread)[0] if many else covariance,
+        scatter=scatter,
+        spreads=spreads,
+        covariance=average_over_scatters(model, spreads)[0] if many else covariance,
         freedom=freedom,
         step=-covariance @ Xr,
         gain=float(Xr @ covariance @ Xr),
@@ -179,6 +191,16 @@ def estimate_variances(
         criterion=float(criterion + Xr @ covariance @ Xr),
         relative_errors=relative if estimate else np.array([np.nan, *relative]),
     )
+
+
+def _unpack_by(scatter: float, estimate: bool) -> Callable[[NDArray], tuple[float, NDArray]]:
+    """What takes the scatter and the spreads out of the logarithms of those that are estimated."""
+
+    def unpack(x: NDArray) -> tuple[float, NDArray]:
+        s = float(np.exp(x[0])) if estimate else scatter
+        return (0.0 if s < _LEAST_SCATTER else s), np.exp(x[1:] if estimate else x)
+
+    return unpack
 
 
 def _maximise(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import difffric as df
-from difffric.calibration.marginal_likelihood import minus_2_log_likelihood
+from difffric.calibration.marginal.marginal_likelihood import minus_2_log_likelihood
 from studies import calibration as study
 
 CASES = [
