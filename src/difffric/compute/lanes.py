@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.compute.arrays import uses_jax
+from difffric.compute.arrays import uses_jax, where
 from difffric.compute.dual_numbers import Dual, highest, new_level, split
 from difffric.compute.pytrees import list_leaves, map_tree, select
 
@@ -57,6 +57,17 @@ def change_where(condition: Any, change: Callable[..., Any], state: Any, *given:
         return state
     part, own = pick_lanes((state, given), index)
     return put_lanes(state, index, change(part, *own), len(condition))
+
+
+def choose(condition: Any, new: Callable[[], Any], old: Callable[[], Any]) -> Any:
+    """`new()` where the condition holds, else `old()`; by NumPy, one that holds nowhere is not
+    computed."""
+    if not uses_jax(condition):
+        if not np.any(condition):
+            return old()
+        if np.all(condition):
+            return new()
+    return where(condition, new(), old())
 
 
 def pick_lanes(tree: Any, index: NDArray) -> Any:

@@ -22,7 +22,7 @@ from difffric.estimation.mixed_model import (
     End,
     FitPoint,
     Problem,
-    minimise_recordings,
+    minimise_stepwise,
     minimise_table,
     respond,
     spread_coordinates,
@@ -155,16 +155,16 @@ def descend(
     """The conditional mode near a point, for these weights (n, rows) and this scatter, with the
     parameters `held` (P,) where they are, after `steps` steps at most."""
     problem, start = _pose_descent(model, data, at, held, weights, scatter, trust)
-    if data.kind != RECORDINGS:
-        end = minimise_table(problem, start, np.asarray(steps))
-    elif goes_in_columns(model, data):
+    if goes_in_columns(model, data):
         pushes, moving = pytrees.pick(data.pushes, slice(data.n)), _list_moving(model)
-        end = minimise_recordings(
+        end = minimise_stepwise(
             problem, start, steps, lambda c: respond_in_columns(model.rig, pushes, c, moving)
         )
-    else:
+    elif data.kind == RECORDINGS:
         given = problem.rig, problem.integrator, problem.pushes
-        end = minimise_recordings(problem, start, steps, lambda c: respond(*given, c))
+        end = minimise_stepwise(problem, start, steps, lambda c: respond(*given, c))
+    else:
+        end = minimise_table(problem, start, np.asarray(steps))
     whole, _, columns = np.shape(end.rows)
     calls = int(end.steps) + 1
     pushes = calls * data.n, calls * whole
@@ -173,8 +173,10 @@ def descend(
 
 
 def goes_in_columns(model: Model, data: FitData) -> bool:
-    """Whether whole recordings are followed by NumPy, with nothing compiled."""
-    return data.kind == RECORDINGS and serves(model.rig, model.integrator)
+    """Whether pushes are followed by NumPy, with nothing compiled: whole recordings, and what is
+    searched in few steps."""
+    few = data.kind == RECORDINGS or data.in_few_steps
+    return few and serves(model.rig, model.integrator)
 
 
 def _list_moving(model: Model) -> list[int]:

@@ -7,7 +7,7 @@ of the linear mixed model about that mode (`restricted_likelihood`). A fit alter
 
 A table's pushes cost less to follow than a call: its whole search is one program
 (`minimise_table`). To follow whole recordings costs milliseconds, so that only that is compiled,
-and NumPy takes the steps (`minimise_recordings`).
+and NumPy takes the steps (`minimise_stepwise`).
 """
 
 from __future__ import annotations
@@ -161,7 +161,7 @@ def minimise_table(problem: Problem, start: FitPoint, steps: Array) -> End:
     return End(point, rows, model, jumps, chi2, solution.stats["num_steps"])
 
 
-def minimise_recordings(
+def minimise_stepwise(
     problem: Problem, start: FitPoint, steps: int, follow: Callable[[NDArray], Any]
 ) -> End:
     """The conditional mode near `start`, after `steps` steps at most, by the same method with its

@@ -58,6 +58,8 @@ class FitData:
     samples_of: Any = 1.0
     """(n,) how many numbers each push has"""
     left_out: int = 0
+    in_few_steps: bool = False
+    """whether a table is searched in so few steps that compiling a program takes longer"""
 
 
 def pad(array: Any, n: int) -> Any:

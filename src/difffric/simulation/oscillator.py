@@ -16,6 +16,7 @@ import numpy as np
 from difffric.compute import arrays as xp
 from difffric.compute.arrays import polynomial
 from difffric.compute.elementary_functions import angle, log1p, quotient, sin_cos
+from difffric.compute.lanes import choose
 from difffric.rig.number import Number
 
 if TYPE_CHECKING:
@@ -58,8 +59,8 @@ class Oscillator(NamedTuple):
         fades = xp.exp(-2 * rate * t)  # the faster exponential beside the slower one
         slower = xp.where(over, quotient(self.omega0_sq, self.alpha + rate), self.alpha)
         growth = xp.exp(xp.minimum(slower * t, 700.0))
-        c = xp.where(small, polynomial(_COSINE, x), cosine)
-        s = xp.where(small, t * polynomial(_SINE, x), sine)
+        c = choose(small, lambda: polynomial(_COSINE, x), lambda: cosine)
+        s = choose(small, lambda: t * polynomial(_SINE, x), lambda: sine)
         return (
             quotient(xp.where(over, 0.5 + 0.5 * fades, c), growth),
             quotient(xp.where(over, 0.5 - 0.5 * fades, s), growth * xp.where(small, 1.0, rate)),
@@ -90,8 +91,8 @@ class Oscillator(NamedTuple):
         hyperbolic = 0.5 * log1p(quotient(2 * r, 1 - r))
         ends = (D < 0) & (Q > rate * W)
         free = xp.where(D > 0, phase, xp.where(ends, hyperbolic, xp.inf))
-        near = ratio * polynomial(_ARCTAN, s)
-        return quotient(xp.where(small, near, free), xp.where(small, 1.0, rate))
+        angle_ = choose(small, lambda: ratio * polynomial(_ARCTAN, s), lambda: free)
+        return quotient(angle_, xp.where(small, 1.0, rate))
 
     def extremum(self, p: Number, dp: Number, t: Float[Array, ""]) -> Float[Array, ""]:
         """|p| at a turning time t: omega0^2 p^2 + 2 alpha p p' + p'^2 falls as exp(-2 alpha t),
@@ -115,8 +116,9 @@ class ViscousSlide(NamedTuple):
         x = self.rate * t
         small = xp.abs(x) < 0.2
         x_l = xp.where(small, 1.0, x)
-        one = xp.where(small, 1.0 - x * polynomial(_DECAY, x), -xp.expm1(-x_l) / x_l)
-        two = xp.where(small, polynomial(_DECAY, x), (x_l + xp.expm1(-x_l)) / x_l**2)
+        series = choose(small, lambda: polynomial(_DECAY, x), lambda: x)
+        one = choose(small, lambda: 1.0 - x * series, lambda: -xp.expm1(-x_l) / x_l)
+        two = choose(small, lambda: series, lambda: (x_l + xp.expm1(-x_l)) / x_l**2)
         return t * (u * one - self.drag * t * two), u - (self.drag + self.rate * u) * t * one
 
     def rest(self, u: Number) -> tuple[Array, Array]:
@@ -125,7 +127,7 @@ class ViscousSlide(NamedTuple):
         y = self.rate * stop
         small = xp.abs(y) < 0.1
         inverse = quotient(1.0, xp.where(small, 1.0, y))
-        mean = log1p(y) * inverse
-        half = xp.where(small, polynomial(_BRAKE, y), (1.0 - mean) * inverse)
-        one = xp.where(small, 1.0 - y * half, mean)
+        mean = choose(small, lambda: y, lambda: log1p(y) * inverse)
+        half = choose(small, lambda: polynomial(_BRAKE, y), lambda: (1.0 - mean) * inverse)
+        one = choose(small, lambda: 1.0 - y * half, lambda: mean)
         return stop * one, u * stop * half
