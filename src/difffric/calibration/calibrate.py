@@ -24,6 +24,7 @@ from difffric.estimation.coordinates import layout
 from difffric.estimation.descent import Model
 from difffric.estimation.stacked_data import slides_data, table_data
 from difffric.measurements.checks import check_data
+from difffric.measurements.pusher_tracking import describe_tracking
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
 from difffric.measurements.reduction.reduce import reduce_recordings
@@ -97,6 +98,7 @@ def fit(
         reduction = reduce_recordings(recordings, skip_bad=skip_bad)
         pushes = reduction.pushes
         task = _arrange(setup, pushes, wishes)
+        task.notes.extend(describe_tracking(reduction.recordings, rig.pusher.stroke))
         search = RecordingSearch(task.model, reduction, task.starts, tell, thorough)
         state, reached = search.run()
     else:

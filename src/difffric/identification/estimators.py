@@ -20,6 +20,7 @@ from difffric.identification.free_slide import estimate_by_slides
 from difffric.identification.inversion import BRACKET
 from difffric.identification.resolved_pushes import Calibration, ResolvedPushes
 from difffric.measurements.checks import check_data
+from difffric.measurements.pusher_tracking import describe_tracking
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
 from difffric.progress import Tell, silent
@@ -91,7 +92,10 @@ def identify(
         tell("fitting every sample", 0.6)
         answers = _add_recordings(known, resolved, reduction, answers)
     tell("done", 1.0)
-    return Identified(tuple(answers), pushes.skipped, describe_agreement(answers))
+    notes = describe_agreement(answers)
+    if reduction is not None:
+        notes += describe_tracking(reduction.recordings, known.rig.pusher.stroke)
+    return Identified(tuple(answers), pushes.skipped, notes)
 
 
 def _add_slides(
