@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from difffric.calibration.result import Fit, FitState
 from difffric.estimation.coordinates import NOTHING, Layout
-from difffric.estimation.descent import Model, Settled, linearise_at, start_offsets
+from difffric.estimation.descent import Model, Settled, clip_starts, linearise_at, start_offsets
 from difffric.estimation.stacked_data import RECORDINGS, FitData
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.reduction.reduce import Reduction
@@ -50,7 +50,8 @@ def build_fit(
     offsets = n if data.kind == RECORDINGS else 0
     freedom = data.samples - fitted - offsets
     absurd = _find_absurd(model, at, freedom, reached)
-    notes = [*notes, *absurd, *_note_doubts(data, at, freedom, reduction)]
+    doubts = _note_doubts(data, at, freedom, reduction)
+    notes = [*notes, *absurd, *doubts, *_note_bounded_starts(model, data, at, reduction)]
     return Fit(
         rig=parameters.with_values(setup.rig, _average_values(layout, at)),
         kind=data.kind,
@@ -144,6 +145,24 @@ def _note_doubts(
                 "lacks something, the noise is larger than said, or this is not the optimum"
             )
     return notes
+
+
+def _note_bounded_starts(
+    model: Model, data: FitData, at: Settled, reduction: Reduction | None
+) -> list[str]:
+    """Which start offsets stand at the bound of what their recording holds."""
+    bounded = np.flatnonzero(clip_starts(model, data, at.start)[1])
+    if reduction is None or not len(bounded):
+        return []
+    offsets, named = start_offsets(at), reduction.recordings
+    which = ", ".join(
+        f"{named[i].name or f'push {i + 1}'} {offsets[i]:.3g} s" for i in bounded[:3].tolist()
+    )
+    rest = f" and {len(bounded) - 3} more" if len(bounded) > 3 else ""
+    return [
+        f"the start offset is at the bound of what the recording holds ({which}{rest}): the model "
+        "does not follow the push, or t = 0 is not the start of the pusher's motion"
+    ]
 
 
 def _chi2_variance(freedom: int, reduction: Reduction | None) -> float:

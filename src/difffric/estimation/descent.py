@@ -39,6 +39,10 @@ ARRIVED = 1e-4
 """A fit has arrived where less than this is left to gain in chi-square."""
 
 
+_BOUNDINGS = 2
+"""Times that start offsets are looked at after a search: holding one may drive out another."""
+
+
 @dataclass(frozen=True)
 class Model:
     """What a fit varies: the rig, its free coordinates, the scatter."""
@@ -153,8 +157,49 @@ def descend(
     steps: int = MAX_STEPS,
 ) -> End:
     """The conditional mode near a point, for these weights (n, rows) and this scatter, with the
-    parameters `held` (P,) where they are, after `steps` steps at most."""
+    parameters `held` (P,) where they are, after `steps` steps at most.
+
+    A start offset that leaves its bounds is held at the bound, and the search goes on from there.
+    """
+    end = _descend(model, data, at, held, weights, scatter, trust, steps)
+    bounded = np.zeros(data.n, bool)
+    for _ in range(_BOUNDINGS):
+        start, beyond = clip_starts(model, data, np.asarray(end.point.start)[: data.n])
+        if not (beyond & ~bounded).any():
+            break
+        bounded |= beyond
+        at = replace(take_end(at, end, held, scatter), start=start)
+        end = _descend(model, data, at, held, weights, scatter, trust, steps, bounded)
+    return end
+
+
+def clip_starts(model: Model, data: FitData, start: NDArray) -> tuple[NDArray, NDArray]:
+    """(start offsets (n,) in coordinates within their bounds, which of them were not, or stand at
+    one)."""
+    if not model.free_start or data.start_bounds is None:
+        return start, np.zeros(len(start), bool)
+    low, high = data.start_bounds
+    return np.clip(start, low, high), (start <= low) | (start >= high)
+
+
+def _descend(
+    model: Model,
+    data: FitData,
+    at: Settled,
+    held: NDArray,
+    weights: NDArray,
+    scatter: float,
+    trust: float,
+    steps: int,
+    fixed_starts: NDArray | None = None,
+) -> End:
+    """As `descend`, without regard to bounds; `fixed_starts` (n,) says whose start offset stays."""
     problem, start = _pose_descent(model, data, at, held, weights, scatter, trust)
+    if fixed_starts is not None:
+        fixed, starts = np.array(problem.fixed), np.array(problem.starts)
+        fixed[: data.n, -1] += np.where(fixed_starts, at.start, 0.0)
+        starts[: data.n] = np.where(fixed_starts, 0.0, starts[: data.n])
+        problem = problem._replace(fixed=fixed, starts=starts)
     if goes_in_columns(model, data):
         pushes, moving = pytrees.pick(data.pushes, slice(data.n)), _list_moving(model)
         end = minimise_stepwise(

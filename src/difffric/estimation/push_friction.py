@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.estimation.descent import Model, Settled, descend, respond_at
+from difffric.estimation.descent import Model, Settled, clip_starts, descend, respond_at
 from difffric.estimation.mixed_model import End
 from difffric.estimation.stacked_data import RECORDINGS, FitData
 from difffric.estimation.thread_pool import map_in_threads
@@ -68,7 +68,7 @@ def find_push_friction(
     def evaluate(lanes: NDArray, x: NDArray) -> tuple[NDArray, NDArray, NDArray]:
         moved = offset[lanes].copy()
         if model.free_start:
-            moved = x[:, 1]
+            moved, _ = clip_starts(model, _pick_bounds(data, index[lanes]), x[:, 1])
         found = respond_at(model, data, at, index[lanes], scatter * x[:, 0], moved, own)
         rows = np.asarray(found.rows) * weights[lanes][..., None]
         J, r = rows[..., own] * scale, rows[..., -1]
@@ -77,12 +77,26 @@ def find_push_friction(
         H = np.einsum("lmq,lmp->lqp", J, J)
         g[:, 0] += x[:, 0]
         H[:, 0, 0] += 1.0
+        if model.free_start:  # beyond its bound an offset changes nothing
+            out = moved != x[:, 1]
+            g[out, 1], H[out, 1], H[out, :, 1] = 0.0, 0.0, 0.0
+            H[out, 1, 1] = 1.0
         return np.where(np.isfinite(cost), cost, np.inf), g, H
 
     x = np.column_stack([s_eta / scatter, offset])[:, : len(own)]
     x, cost = _search_each(evaluate, x, steps)
-    start = x[:, 1] if model.free_start else offset
+    start = offset
+    if model.free_start:
+        start, _ = clip_starts(model, _pick_bounds(data, index), x[:, 1])
     return OwnFriction(cost, scatter * x[:, 0], start)
+
+
+def _pick_bounds(data: FitData, index: NDArray) -> FitData:
+    """The data with the bounds of the start offsets of some pushes `index` (L,)."""
+    if data.start_bounds is None:
+        return data
+    low, high = data.start_bounds
+    return replace(data, start_bounds=(low[index], high[index]))
 
 
 def _search_each(

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from difffric.errors import InputError
 from difffric.estimation.block_means import stack_even
+from difffric.estimation.coordinates import START, to_coordinate
 from difffric.estimation.mixed_model import PADDING
 from difffric.estimation.push_rigs import fill_strokes
 from difffric.estimation.residuals import Grid, SlidePush, TablePush
@@ -60,6 +61,9 @@ class FitData:
     left_out: int = 0
     in_few_steps: bool = False
     """whether a table is searched in so few steps that compiling a program takes longer"""
+    start_bounds: tuple[NDArray, NDArray] | None = None
+    """(n,) between which a push's own start offset lies, in coordinates: within what its recording
+    holds; None: of a table"""
 
 
 def pad(array: Any, n: int) -> Any:
@@ -190,7 +194,24 @@ def traces_data(
         rough=weights,
         samples_of=np.maximum(made.counts.sum(axis=1), 1),
         left_out=made.left_out,
+        start_bounds=_bound_starts(recordings, details),
     )
+
+
+def _bound_starts(recordings: Recordings, details: Sequence[Reduced]) -> tuple[NDArray, NDArray]:
+    """(first, last) coordinates (n,) at which the pushers may have started: within the recording,
+    and not after its peak. One that begins after t = 0 does not show the start: as much before as
+    after t = 0 is allowed."""
+    ends = []
+    for recording, detail in zip(recordings, details, strict=True):
+        channels = [c for c in (recording.force, recording.position) if c is not None]
+        first = min(c.start for c in channels)
+        last = max(c.start + c.dt * c.n for c in channels)
+        first -= max(c.dt for c in channels)
+        peak = detail.peak_time if np.isfinite(detail.peak_time) else last
+        ends.append((-last if first > 0 else first, max(peak, first)))
+    low, high = np.array(ends).T
+    return to_coordinate(START, low), to_coordinate(START, high)
 
 
 def as_if_white(data: FitData) -> FitData:
