@@ -12,6 +12,8 @@ from difffric.measurements.recordings import Channel
 
 _BLOCKS = 32
 """Block means that the quiet time is seen in: enough to tell when a rise begins."""
+_FEW = 8
+"""Samples before t = 0 that show a force which is high from the first on."""
 _SEEN = 8.0
 """Standard errors that noise, correlated or not, lifts no block's mean above the first one's."""
 _LEAST = 0.05
@@ -22,7 +24,7 @@ class EarlyRise(NamedTuple):
     """A rise of the force before t = 0."""
 
     height: float
-    """of the highest sample above the first ones [N]"""
+    """of the highest sample above the first ones, or above the last [N]"""
     begin: float
     """when it is first seen [s]"""
 
@@ -33,26 +35,31 @@ class EarlyRise(NamedTuple):
         )
 
 
-def find_early_rise(force: Channel) -> EarlyRise | None:
+def find_early_rise(force: Channel, above_rest: bool = False) -> EarlyRise | None:
     """The rise of a force [N] before t = 0; None: there is none, or too few samples to tell.
+
+    A force that is high from its first sample on rises `above_rest`, if asked for: above its last
+    reading, at which a push that rests in contact and a leaking sensor do not end.
 
     What noise can do is taken from the calmest of three stretches, as the quiet time itself may be
     none: its first quarter, and the recording's last quarter and last eighth.
     """
     quiet = read_quiet(force)
-    if len(quiet) < 2 * SHORTEST:
+    if len(quiet) < (_FEW if above_rest else 2 * SHORTEST):
         return None
     size = max(1, len(quiet) // _BLOCKS)
     blocks = quiet[: len(quiet) // size * size].reshape(-1, size).mean(axis=1)
     noise = _find_calmest(force, quiet)
-    above = blocks - blocks[0]
+    last = float(np.mean(force.read(force.n - max(1, force.n // 8), force.n)))
+    low = min(float(blocks[0]), last) if above_rest else float(blocks[0])
+    above = blocks - low
     height = float(above.max())
     spread = np.sqrt(2.0) * noise.average(size).level
     ends = np.array([(part.min(), part.max()) for part in force.chunks()])
     if height <= max(_SEEN * spread, _LEAST * (ends[:, 1].max() - ends[:, 0].min())):
         return None
     first = int(np.argmax(above > max(_SEEN * spread, 0.02 * height)))
-    highest = float(quiet.max() - blocks[0])
+    highest = float(quiet.max() - low)
     return EarlyRise(highest, -force.dt * (len(quiet) + 1 - first * size))
 
 

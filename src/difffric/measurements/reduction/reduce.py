@@ -137,7 +137,7 @@ def _with_force(
     coarse = coarsen(force, noise)
     contacts = find_contacts(force, coarse, level)
     out = replace(out, noise_force=noise, force_level=level)
-    early = find_early_rise(force)
+    early = find_early_rise(force, above_rest=not contacts)
     if not contacts:
         return replace(out, problem=str(early or WITHOUT_CONTACT))
     if early:

@@ -11,7 +11,7 @@ from difffric.errors import InputError
 from difffric.measurements.recordings import Channel, Recordings
 from difffric.measurements.reduction.early_rise import find_early_rise
 from difffric.measurements.reduction.reduce import WITHOUT_CONTACT, reduce_push, reduce_recordings
-from tests.unit.measurements.reduction.test_reduce import ar1, record
+from tests.unit.measurements.reduction.test_reduce import ar1, cut, record
 
 
 def make_force(begin, phi=0.0, height=5.4, seed=0):
@@ -40,10 +40,22 @@ def test_a_push_before_its_time_is_no_push_without_contact():
     assert "before t = 0" in str(refusal.value)
 
 
+def test_a_force_that_is_high_from_the_first_sample_on_is_no_push_without_contact():
+    """The push began 6 ms before t = 0, the recording 1.5 ms before, about its peak."""
+    push = record(2500)
+    assert push.force is not None
+    push = replace(push, force=replace(push.force, start=push.force.start - 6e-3), position=None)
+    late = replace(push, force=cut(push.force, -1.5e-3))
+    problem = reduce_push(late).problem
+    assert "N before t = 0, from -0.0015" in problem and WITHOUT_CONTACT not in problem
+
+
 @pytest.mark.parametrize("phi", [0.0, 0.9])
 def test_noise_does_not_rise(phi):
     """Of a force that is all noise, and of ordinary pushes."""
-    assert not any(find_early_rise(make_force(-3.0, phi, 0.0, seed)) for seed in range(100))
+    for seed in range(100):
+        force = make_force(-3.0, phi, 0.0, seed)
+        assert not find_early_rise(force) and not find_early_rise(force, above_rest=True)
     for seed in range(5):
         force = record(2500, seed, phi, scale=3.0).force
         assert force is not None and find_early_rise(force) is None
