@@ -11,9 +11,10 @@ order, and which module holds each step:
 3. `score_test` predicts for each effect, without a refit, how much it would explain.
 4. `exploration` finds the effects that explain most and refits them, from where the score tests
    lead and from the sizes of `starting_values`, with `shape_scan` for wavelengths and places.
-5. `cross_validation` says whether the best of them predicts held-out pushes better. If it does,
-   is significant and matters, it joins the model, and `procedure` begins again at 3, up to three
-   times; causes that later ones made needless are dropped.
+5. `cross_validation` says whether the best of them predicts held-out pushes better. If it does and
+   is significant, it joins the model, `start` looks for a better optimum of that model while it is
+   not at its noise floor, and `procedure` begins again at 3, up to three
+   causes; those that later ones made needless are dropped. `verdict` says what each changes.
 6. `alternatives` puts in each cause's place what could as well stand there, and
    `impossible_measurements` finds distances that no plain model gives.
 7. `conclusion` turns what was found into the verdict: `location` finds the component where no

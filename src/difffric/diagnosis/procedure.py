@@ -22,7 +22,13 @@ from difffric.diagnosis.impossible_measurements import find_unreachable
 from difffric.diagnosis.lack_of_fit import LackOfFit, is_misfit_large, measure_lack_of_fit
 from difffric.diagnosis.location import add_free_forms
 from difffric.diagnosis.score_test import Score, compute_p_value, run_score_tests
-from difffric.diagnosis.start import SearchStart, find_better_base, fit_plain_model, prepare_start
+from difffric.diagnosis.start import (
+    SearchStart,
+    find_better_base,
+    find_better_optimum,
+    fit_plain_model,
+    prepare_start,
+)
 from difffric.diagnosis.starting_values import SMOOTH_AT_NULL
 from difffric.diagnosis.verdict import Diagnosis, measure_changes
 from difffric.errors import InputError, NumericalError
@@ -40,7 +46,9 @@ PUSH, SPEED = "push", "speed"
 MATTERS = 0.005
 """Share of mu_s by which a cause must change what is inferred to be one: a third of the scatter
 of a good rig from push to push."""
-MOST = 6
+MOST = 3
+"""Causes that are looked for at most."""
+_ADDED = 6
 """Effects that are added at most, those that turn out not to matter among them."""
 _RESTARTS = 3
 """How often a round begins anew where the fit that it extends turns out not to be the best."""
@@ -144,9 +152,11 @@ class _CauseSearch:
         if task.n < _FEWEST:
             notes = (f"{task.n} pushes: too few to hold any out, and no cause is looked for",)
         else:
-            for k in range(MOST):
-                if not self._look_once_more(k):
+            for k in range(_ADDED):
+                more = len(self._list_causes()) < MOST and self._look_once_more(k)
+                if not more:
                     break
+                self._arrive(k)
         self._add_alternatives()
         certificates = find_unreachable(data.measured, self.setup.rig)
         if certificates and not self.named:
@@ -155,7 +165,7 @@ class _CauseSearch:
             if question:
                 self.named = [NamedCause(question[0], question, self.plain)]
                 self.base = question[0].fits
-        causes = [one for one in self.named if self._does_matter(one, self.base)]
+        causes = self._list_causes()
         slight = [one for one in self.named if one not in causes]
         return Findings(
             setup=self.setup,
@@ -178,16 +188,32 @@ class _CauseSearch:
             compiling=self.compiling,
         )
 
+    def _list_causes(self) -> list[NamedCause]:
+        """List what was added and matters."""
+        return [one for one in self.named if self._does_matter(one, self.base)]
+
     def _does_matter(self, one: NamedCause, at: Fits) -> bool:
         """Whether an effect of the fit `at` changes as much as matters."""
         task = self.start.data.task
         changes = measure_changes(task, one.without, at, one.best.effect)
         return changes.as_mu_s >= self.matters
 
+    def _arrive(self, k: int) -> None:
+        """Look for a better optimum of the model with what was added by now, while it is not at its
+        noise floor: what such a fit leaves would be taken for further effects."""
+        for _ in range(_RESTARTS):
+            if self.validation.is_at_floor(self.base):
+                break
+            self.tell("looking for a better fit", 0.3 + 0.1 * k)
+            better = find_better_optimum(self.start.data.task, self.base, self.start.guess)
+            if better is None:
+                break
+            self.base = better
+
     def _look_once_more(self, k: int) -> bool:
         """Look for one more cause in round k; whether another round may find another one."""
         task = self.start.data.task
-        self.tell("looking for a cause", 0.3 + 0.15 * k)
+        self.tell("looking for a cause", 0.3 + 0.1 * k)
         wanted = self._list_wanted()
         scores = run_score_tests(task, self.base, wanted)
         self.scores = self.scores or scores
@@ -259,7 +285,7 @@ class _CauseSearch:
 
         def explore_part(effects: Sequence[str], part: float) -> list[CandidateCause]:
             def tell(share: float) -> None:
-                self.tell("looking for a cause", 0.3 + 0.15 * (k + part * share))
+                self.tell("looking for a cause", 0.3 + 0.1 * (k + part * share))
 
             return explore(task, base, effects, scales, scores, tell, strong)
 

@@ -37,6 +37,10 @@ _SLIDE_READ = 1e-3
 mu_s scatters counts as scatter, and nothing as noise."""
 _ROUNDS = 20
 """Steps at most of each fit of the plain model."""
+_SIZES = (0.3, 0.6, 0.85, 1.18, 1.7, 3.0)
+"""Shares of an effect's size from which a model that has not arrived is fitted anew."""
+_FIRST_ROUNDS, _LAST_ROUNDS, _FINALISTS = 4, 30, 3
+"""Steps at most from each of these, those of the leaders after them, and how many lead."""
 _BETTER = 1.0
 """By how much -2 log likelihood must be lower for a fit without an effect to be another optimum."""
 _SHARE = 0.01
@@ -173,10 +177,51 @@ def find_better_base(
     return None
 
 
-def _rescan_and_refit(task: EnsembleTask, fits: Fits) -> Fits:
-    """Refit with each push's own mu_s looked for afresh, those fits for which that leads to a
-    better one."""
-    again = ensemble_refits.rescan_bad_pushes(task, fits)
+def find_better_optimum(task: EnsembleTask, fits: Fits, guess: Fits) -> Fits | None:
+    """Return a better optimum of the model of `fits`, which has not arrived at its noise floor, or
+    None; `guess` is the set-up as it was given (all ensembles of one).
+
+    It is begun from other sizes of the model's effects, each with the pushes' own mu_s as they are
+    and with equal ones; from `guess`; and from a fit to the pushes that fit best, as a push on a
+    wrong branch of its mu_s bends what all share.
+    """
+    bare = replace(fits, gram=None, residual=None, damping=None)
+    index = list(fits.extra[0])
+    c = guess.c.copy()
+    c[0, index] = fits.c[0, index]
+    away = replace(bare, c=c, mu=guess.mu, own=guess.own)
+    starts = [replace(bare, own=np.zeros_like(bare.own)), away, _fit_best_pushes(task, fits)]
+    coordinates = task.model.coordinates
+    for i in index:
+        for size in _SIZES:
+            c = fits.c.copy()
+            c[0, i] = np.clip(size * c[0, i], *coordinates.bounds(coordinates.names[i]))
+            starts += [replace(one, c=c) for one in (bare, starts[0])]
+    every = ensemble_refits.refit(task, ensemble.join(*starts), _FIRST_ROUNDS)
+    first = np.argsort(ensemble.criterion(task, every))[:_FINALISTS]
+    every = ensemble_refits.refit(task, every.pick(first), _LAST_ROUNDS)
+    every = _rescan_and_refit(task, ensemble.join(fits, every), fine=True)
+    value = ensemble.criterion(task, every)
+    best = int(np.argmin(value))
+    before = float(ensemble.criterion(task, fits)[0])
+    return every.pick(best) if value[best] < before - _BETTER else None
+
+
+def _fit_best_pushes(task: EnsembleTask, fits: Fits) -> Fits:
+    """Return a start for all pushes from a fit (an ensemble of one) to the half of them that fits
+    best, the others' own mu_s looked for there."""
+    cost = np.einsum("nk,k->n", fits.gram[0, :, :, -1, -1], 1.0 / fits.spread[0] ** 2)
+    some = np.sort(np.argsort(cost / np.maximum(task.counts.sum(axis=1), 1.0))[: -(-task.n // 2)])
+    at = replace(fits, gram=None, residual=None, damping=None)
+    at = ensemble.evaluate(task, ensemble_refits.refit(task, at, _LAST_ROUNDS, some))
+    at = ensemble_refits.rescan_bad_pushes(task, at, fine=True)
+    return replace(at, gram=None, residual=None, damping=None)
+
+
+def _rescan_and_refit(task: EnsembleTask, fits: Fits, fine: bool = False) -> Fits:
+    """Refit with each push's own mu_s looked for afresh, on a `fine` grid or not, those fits for
+    which that leads to a better one."""
+    again = ensemble_refits.rescan_bad_pushes(task, fits, fine=fine)
     moved = np.flatnonzero((again.own != fits.own).any(axis=1))
     if not len(moved):
         return fits

@@ -36,7 +36,8 @@ _JUMP = 3.0
 """Standard deviations of chi-square beyond the fit's, from which a prediction may be on another
 branch of its own mu_s."""
 _OWN = np.linspace(-0.35, 0.35, 21)
-"""The own log mu_s that are tried in a push that fits badly."""
+_FINE = np.linspace(-0.7, 0.7, 113)
+"""The own log mu_s that are tried in a push that fits badly, and those where that led nowhere."""
 _LOOSE, _NEAR = 5e-4, np.linspace(-3.0, 3.0, 13)
 """The standard error of a push's own log mu_s from which it is looked for on a grid, and the grid
 in units of it."""
@@ -182,16 +183,20 @@ def refit(
     return replace(fits, damping=damping)
 
 
-def rescan_bad_pushes(task: EnsembleTask, fits: Fits, pushes: NDArray | None = None) -> Fits:
-    """The fits with the own mu_s of pushes that fit badly taken from a grid where that fits better:
-    beside a strong effect a push may have several mu_s that no small step betters."""
+def rescan_bad_pushes(
+    task: EnsembleTask, fits: Fits, pushes: NDArray | None = None, fine: bool = False
+) -> Fits:
+    """The fits with the own mu_s of pushes that fit badly taken from a grid where that fits better,
+    a `fine` one or not: beside a strong effect a push may have several mu_s that no small step
+    betters."""
     if not task.mu_free:
         return fits
     which = np.arange(task.n) if pushes is None else np.asarray(pushes)
     cost = np.einsum("mnk,mk->mn", fits.gram[..., -1, -1], 1.0 / fits.spread**2)
     bad = np.zeros(cost.shape, bool)
     bad[:, which] = cost[:, which] > _BAD * np.maximum(task.counts[which].sum(axis=1), 1.0)
-    return _rescan(task, fits, bad, np.broadcast_to(_OWN, (*bad.shape, len(_OWN))), 0.0)
+    grid = _FINE if fine else _OWN
+    return _rescan(task, fits, bad, np.broadcast_to(grid, (*bad.shape, len(grid))), 0.0)
 
 
 def rescan_loose_pushes(task: EnsembleTask, fits: Fits) -> Fits:

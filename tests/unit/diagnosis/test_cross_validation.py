@@ -1,12 +1,16 @@
 """Which pushes are held out together, and what is predicted of them."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from difffric.diagnosis import cross_validation
 from difffric.diagnosis.cross_validation import CrossValidation, assign_folds
+from difffric.estimation import ensemble_refits
 from difffric.estimation.ensemble import Fits
+from tests.unit.diagnosis.linear_rig import make_task, start
 
 
 def test_pushes_of_one_speed_are_held_out_together_or_each_alone():
@@ -35,3 +39,47 @@ def test_the_same_fits_are_predicted_from_once(monkeypatch):
     told = [validation.measure_surprise(x) for x in (*fits, *fits)]
     assert told == [1.0, 2.0, 1.0, 2.0] and len(asked) == 2
     assert not validation.is_better(fits[1], fits[0]) and len(asked) == 2
+
+
+def draw_task(rng, scatter, shift=0.0):
+    """Ten pushes of two numbers, three shared coordinates behind them, and a shift of every second
+    number that none of them explains."""
+    slopes = rng.standard_normal((10, 2, 3))
+    own = scatter * rng.standard_normal(10)
+    noise = rng.standard_normal((10, 2))
+    measured = slopes[:, :, 0] * own[:, None] + noise
+    measured[::2, 1] += shift
+    return make_task(slopes, measured, ("k", "b"), (1, 2))
+
+
+def test_what_noise_leaves_of_held_out_pushes_is_foreseen():
+    folds, found = np.arange(10), []
+    for k in range(300):
+        task = replace(draw_task(np.random.default_rng([k, 1]), 2.0), estimate_scatter=False)
+        at = ensemble_refits.refit(task, start(task, 2.0), 5)
+        found.append(ensemble_refits.predict_held_out(task, at, folds))
+    left = np.array([x.penalised.sum() for x in found])
+    expected = np.array([x.expected.sum() for x in found])
+    away = (left - expected) / np.sqrt([x.variance.sum() for x in found])
+    assert np.mean(left) == pytest.approx(np.mean(expected), rel=0.05)
+    assert 24 < np.mean(expected) < 60  # 20 numbers, and the error of the fits to the others
+    assert np.std(away) == pytest.approx(1.0, abs=0.35)
+
+
+def test_a_fit_that_has_not_arrived_is_not_at_the_floor():
+    task = draw_task(np.random.default_rng(7), 0.01)
+    validation = CrossValidation(task, np.arange(10))
+    at = ensemble_refits.refit(task, start(task, 0.01), 5)
+    assert validation.is_at_floor(at)
+    bent = draw_task(np.random.default_rng(7), 0.01, shift=6.0)
+    validation = CrossValidation(bent, np.arange(10))
+    at = ensemble_refits.refit(replace(bent, estimate_scatter=False), start(bent, 0.01), 5)
+    p_value = validation.measure_floor_p_value(at)
+    assert not validation.is_at_floor(at) and p_value is not None and p_value < 1e-6
+
+
+def test_without_a_known_noise_nothing_is_said_of_the_floor():
+    task = replace(draw_task(np.random.default_rng(7), 0.01, 6.0), open_spread=(True, False))
+    at = ensemble_refits.refit(task, start(task, 0.01), 5)
+    validation = CrossValidation(task, np.arange(10))
+    assert validation.measure_floor_p_value(at) is None and validation.is_at_floor(at)

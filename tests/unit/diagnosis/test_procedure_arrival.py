@@ -1,0 +1,48 @@
+"""What matters and what is left, in absolute terms, by whole diagnoses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.hidden import random_case
+from tests.unit.diagnosis.analysis import Analysis
+
+MATTERS = 0.005
+
+
+def measure_friction_error(one: Analysis) -> float:
+    """The relative error (rms over the pushes) of the friction that each push is told to have had,
+    drift included."""
+    pushes = sorted(one.case.pushes, key=lambda push: push.order)
+    drift = one.case.effects.get("friction_drift", {"drift": 0.0})["drift"]
+    had = [p.mu_s * (1 + drift * i / (len(pushes) - 1)) for i, p in enumerate(pushes)]
+    return float(np.sqrt(np.mean((np.array(one.found.mu_s) / had - 1) ** 2)))
+
+
+def test_what_shows_and_changes_next_to_nothing_is_no_cause(tmp_path):
+    case = random_case(1).with_effect("force_gain", {"factor": 1.001})
+    found = Analysis(case, tmp_path, MATTERS).found
+    assert found.verdict == "adequate" and not found.causes and found.remaining is None
+    assert "force_gain" in {cause.id for cause in found.negligible}
+    assert all(0 < cause.change_as_mu_s < MATTERS for cause in found.negligible)
+    assert "force_gain.factor" not in found.setup.extras
+    assert found.as_dict()["remaining"] is None
+
+
+@pytest.mark.slow
+def test_a_drift_is_a_cause_however_strong_a_gap_is_beside_it(tmp_path):
+    case = random_case(1, scatter=0.015).with_effect("initial_gap", {"gap_m": 150e-6})
+    one = Analysis(case.with_effect("friction_drift", {"drift": 0.1}), tmp_path, MATTERS)
+    assert one.found.verdict == "named" and one.found.remaining is None
+    assert {cause.id for cause in one.found.causes} == {"initial_gap", "friction_drift"}
+    assert measure_friction_error(one) < 0.002
+
+
+@pytest.mark.slow
+def test_a_lag_that_changes_everything_is_followed_to_the_floor(tmp_path):
+    case = random_case(3, scatter=0.015).with_effect("pusher_lag", {"tau_s": 3e-3})
+    one = Analysis(case, tmp_path, MATTERS)
+    assert [cause.id for cause in one.found.causes] == ["pusher_lag"]
+    assert one.found.gain.after < 1.05 < one.found.gain.before
+    assert one.found.remaining is None and measure_friction_error(one) < 0.002
