@@ -28,15 +28,23 @@ _NEAR = np.sinh(np.linspace(-3.0, 3.0, 33))
 _WIDE = np.linspace(-6.0, 6.0, 25)
 """Those about the shared mu_s, in scatters: d jumps and bends, and other mu_s may explain it. The
 distance of a free slide falls steadily with mu_s, and needs none."""
+_FARTHEST = 5.0
+"""A mode is first looked for within so many scatters."""
 _OFF, _NARROWER, _WIDER = 1.0, 0.4, 2.5
 """Points about a mode do where it is off by less than so many standard deviations, and these are
 so much narrower or wider at most."""
+_EDGE = 5.0
+"""A mean that is off by more than so many standard deviations is cut short by the last point."""
 _ROUNDS, _REFINEMENTS = 8, 12
 """How often points are laid anew, and how often pieces are halved, at most."""
 _SIMILAR = 0.3
 """Points serve for other variances while the logarithms of these change by less than this."""
 _ROUGH = 2e-3
 """What a bend or a jump inside a push's pieces may change in its log likelihood."""
+_JUMP, _SHORT, _LIKELY = 0.5, 0.1, 0.02
+"""Residuals jump where they differ by more than the first along less than the second of a standard
+deviation of the push's mu_s, and it matters where the density beside, in units of that, is more
+than the third."""
 _HALVED = 6
 """Pieces of a push that are halved at a time."""
 
@@ -60,6 +68,9 @@ class Evaluation:
     """(n,) its standard deviation at these parameters"""
     linear: LinearModel
     """the linear mixed model about these means"""
+    beside_jump: NDArray
+    """(n,) whether a push's mu_s may lie beside a jump of the model: the gradient then lacks how
+    the jump moves"""
 
 
 class MarginalLikelihood:
@@ -75,10 +86,10 @@ class MarginalLikelihood:
         self.factor = np.where(data.weights > 0, at.weights * own, 0.0)
         self.held = at.held
         slope = (np.asarray(at.end.rows)[: data.n] * at.weights[..., None])[..., 0]
-        scatter = max(at.scatter, LEAST_SCATTER)
-        width = 1.0 / np.sqrt(np.sum(slope**2, axis=1) + scatter**-2)
-        # Where the last points lay: their parameters, centres, widths, and how the centres move.
-        self._laid = at.theta, at.s_eta, width, np.zeros((data.n, model.layout.n_free))
+        # Where the last points lay: the parameters, the centres, what each push's measurements say
+        # of its mu_s there, and how the centres move.
+        nothing = np.zeros((data.n, model.layout.n_free))
+        self._laid = at.theta, at.s_eta, np.sum(slope**2, axis=1), nothing
         # What the last pieces were at: parameters, logarithms of the variances, and the pieces.
         self._known: tuple[NDArray, NDArray, list] = np.full(1, np.nan), np.zeros(1), []
 
@@ -87,9 +98,10 @@ class MarginalLikelihood:
         data, layout = self.data, self.model.layout
         s, n = max(scatter, LEAST_SCATTER), self.data.n
         weights = self.factor / np.concatenate([spreads, [1.0]])[data.group]
-        before, centre, width, drift = self._laid
-        centre = centre + drift @ (theta - before)
-        each, mean, sd = np.zeros(n), np.zeros(n), np.ones(n)
+        before, centre, information, drift = self._laid
+        centre = np.clip(centre + drift @ (theta - before), -_FARTHEST * s, _FARTHEST * s)
+        width = 1.0 / np.sqrt(information + s**-2)
+        each, mean, sd, beside_jump = np.zeros(n), np.zeros(n), np.ones(n), np.zeros(n, bool)
         gradient = np.zeros(layout.n_free + 1 + len(spreads))
         rows = np.zeros((n, data.weights.shape[1], layout.fixed.shape[1] + 1))
         at = np.zeros(n)
@@ -98,6 +110,7 @@ class MarginalLikelihood:
         for which, (grid, answers, found) in pieces:
             each[which] = -2 * (found.log - np.log(s))
             mean[which], sd[which] = found.mean, found.sd
+            beside_jump[which] = _find_jumps(grid, answers, found, weights[which])
             pull = found.pull[..., :-1] * weights[which]
             by = np.einsum("kmr,kmrc->mc", pull, answers.J)
             gradient[: layout.n_free] += 2 * np.einsum("mc,mcp->p", by, layout.selection[which])
@@ -115,11 +128,12 @@ class MarginalLikelihood:
         gradient[: layout.n_free] += 2 * away / layout.prior_sd
         gradient[layout.n_free + 1 :] += 2 * data.counts
         linear = self._linearise(theta, rows, at)
-        self._laid = theta, mean, sd, self._find_drift(rows * weights[..., None], s)
+        self._laid = theta, mean, *self._find_drift(rows * weights[..., None], s)
         if not known:
             self._known = theta, np.log([s, *spreads]), pieces
         value = each.sum() + 2 * data.counts @ np.log(spreads) + away @ away
-        return Evaluation(theta, scatter, spreads, each, float(value), gradient, mean, sd, linear)
+        seen = mean, sd, linear, beside_jump
+        return Evaluation(theta, scatter, spreads, each, float(value), gradient, *seen)
 
     def _reuse(self, theta: NDArray, s: float, spreads: NDArray, weights: NDArray):
         """The last pieces, integrated anew: the model's answers do not depend on the variances."""
@@ -152,12 +166,15 @@ class MarginalLikelihood:
                 yield from self._refine(
                     theta, s, weights, which[near], _pick(grid, answers, found, near)
                 )
-            which, again = which[far], far
+            which, again = which[far], np.flatnonzero(far)
             if not len(which):
                 return
             centre, width = centre.copy(), width.copy()
-            centre[which] = found.mean[again]
-            width[which] = np.maximum(found.sd[again], 1e-3 * width[which])
+            to = _find_mode(*_pick(grid, answers, found, again), weights[which], s)
+            edge = _EDGE * size[far]
+            out = np.abs(found.mean[far] - centre[which]) > edge
+            centre[which] = np.where(out, to[0], found.mean[far])
+            width[which] = np.where(out, to[1], found.sd[far])
 
     def _lay_points(self, s: float, centre: NDArray, width: NDArray) -> NDArray:
         """(points, m) ascending: about the modes and about the shared mu_s."""
@@ -215,11 +232,13 @@ class MarginalLikelihood:
             False,
         )
 
-    def _find_drift(self, rows: NDArray, s: float) -> NDArray:
-        """(n, P) how each push's mode moves with the shared parameters, weighted rows given."""
+    def _find_drift(self, rows: NDArray, s: float) -> tuple[NDArray, NDArray]:
+        """What the weighted rows say of each push's mu_s (n,), and how its mode moves with the
+        shared parameters (n, P)."""
         X, z = rows[..., :-1] @ self.model.layout.selection, rows[..., 0]
-        information = np.sum(z**2, axis=1) + s**-2
-        return -np.einsum("nm,nmp->np", z, X) / information[:, None]
+        information = np.sum(z**2, axis=1)
+        drift = -np.einsum("nm,nmp->np", z, X) / (information + s**-2)[:, None]
+        return information, drift
 
 
 def _integrate(grid: NDArray, r: NDArray, weights: NDArray, s: float) -> Integrals:
@@ -233,15 +252,44 @@ def _pick(grid: NDArray, answers: NodeAnswers, found: Integrals, index: NDArray)
     return grid[:, index], NodeAnswers(*(x[:, index] for x in answers)), picked
 
 
+def _find_mode(
+    grid: NDArray, answers: NodeAnswers, found: Integrals, weights: NDArray, s: float
+) -> tuple[NDArray, NDArray]:
+    """Where the mode (m,) and what its width (m,) would be, were the model linear beyond the point
+    next to each push's mean."""
+    k, column = np.argmin(np.abs(grid - found.mean), axis=0), np.arange(grid.shape[1])
+    r, z = answers.r[k, column] * weights, answers.J[k, column, :, 0] * weights
+    u, information = grid[k, column], np.sum(z**2, axis=1) + s**-2
+    to = u - (np.sum(z * r, axis=1) + u / s**2) / information
+    return np.clip(to, -_FARTHEST * s, _FARTHEST * s), 1.0 / np.sqrt(information)
+
+
 def _find_roughness(
     grid: NDArray, answers: NodeAnswers, found: Integrals, weights: NDArray
 ) -> NDArray:
     """(pieces, m) what the model's bends and jumps inside the pieces may change."""
+    width = (grid[1:] - grid[:-1])[..., None]
+    z = answers.J[..., 0] * weights
+    bend = np.abs(z[1:] - z[:-1]) * width / 8
+    off = np.max(_measure_jumps(grid, answers, weights) + bend, axis=2)
+    return found.share * np.minimum(off, 1.0)
+
+
+def _measure_jumps(grid: NDArray, answers: NodeAnswers, weights: NDArray) -> NDArray:
+    """(pieces, m, rows) how far residuals at the ends differ by more than their slopes say."""
     r, z = answers.r * weights, answers.J[..., 0] * weights
     width = (grid[1:] - grid[:-1])[..., None]
-    jump = np.abs(r[1:] - r[:-1] - 0.5 * width * (z[1:] + z[:-1]))
-    bend = np.abs(z[1:] - z[:-1]) * width / 8
-    return found.share * np.minimum(np.max(jump + bend, axis=2), 1.0)
+    return np.abs(r[1:] - r[:-1] - 0.5 * width * (z[1:] + z[:-1]))
+
+
+def _find_jumps(grid: NDArray, answers: NodeAnswers, found: Integrals, weights: NDArray) -> NDArray:
+    """(m,) whether residuals jump where a push's mu_s may lie."""
+    width = grid[1:] - grid[:-1]
+    density = found.share * found.sd / np.maximum(width, 1e-300)
+    beside = np.zeros_like(density)
+    beside[1:], beside[:-1] = density[:-1], np.maximum(beside[:-1], density[1:])
+    jumps = np.max(_measure_jumps(grid, answers, weights), axis=2) > _JUMP
+    return (jumps & (width < _SHORT * found.sd) & (beside > _LIKELY)).any(axis=0)
 
 
 def minus_2_log_likelihood(model: Model, data: FitData, at: Settled) -> float:

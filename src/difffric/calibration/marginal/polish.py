@@ -29,6 +29,8 @@ from difffric.estimation.stacked_data import FitData
 ARRIVED = 1e-4
 """A search has arrived where less than this is left to gain in -2 log-likelihood: it moves no
 parameter by a hundredth of its standard error."""
+_LEFT = 100 * ARRIVED
+"""A search that leaves more than this did not arrive."""
 _OPEN = 1e-2
 """Curvature that every coordinate has at least for the choice of a step: one that the data leave
 open does not run away."""
@@ -146,7 +148,7 @@ def _search(objective: _Objective) -> Found:
         objective.x, objective.linear = x, objective.look(x).linear
         inside = (x > objective.lower) & (x < objective.upper)
         objective.counted = inside[: objective.P]
-        if 0.5 * moved @ B @ moved < _STAYED**2:
+        if 0.5 * moved @ B @ moved < _STAYED**2 or found.gain > _LEFT:
             break
     return found
 
@@ -197,12 +199,14 @@ def _conclude(
     end = descend(model, data, start, everything, weights, scatter, _TRUST)
     at = replace(take_end(at, end, everything, scatter), held=held)
     components = describe_variances(here.linear, scatter, spreads, objective.estimate)
-    settled = bool(found.gain < 100 * ARRIVED)
+    settled = found.gain < _LEFT
     if settled:
         information = 0.5 * measure_curvature(objective, found.x, g)
         components = _adopt(components, here.linear, information, g, P, objective.gone)
     components = components._replace(criterion=value, gain=found.gain)
-    return replace(at, components=components, settled=settled)
+    # Pressed against a jump, where no derivative says so, a point may be an optimum all the same.
+    pressed = bool(here.beside_jump.any()) and at.settled
+    return replace(at, components=components, settled=settled or pressed)
 
 
 def measure_curvature(objective: _Objective, x: NDArray, g: NDArray) -> NDArray:

@@ -19,7 +19,8 @@ _LONGEST = 1.0
 """The longest step along one coordinate."""
 _NOISE = 5e-3
 """A rise of the value by less than this is rounding of the integrals, if the gradient shrinks."""
-_HALVINGS = 8
+_SHORTER, _TRIALS = 0.3, 5
+"""By how much a step that does not bring the value down is shortened, and how often."""
 _DAMPED = 0.2
 """The least share of the known curvature along a step that a step leaves (Powell)."""
 
@@ -56,7 +57,7 @@ def search_quadratically(
         if gain < arrived:
             break
         taken = None
-        for _ in range(_HALVINGS):
+        for _ in range(_TRIALS):
             trial = np.clip(x + step, lower, upper)
             new, new_g = evaluate(trial)
             fall = value - new
@@ -64,7 +65,7 @@ def search_quadratically(
             if np.isfinite(new) and (fall > 1e-4 * abs(g @ step) or (fall > -_NOISE and calmer)):
                 taken = trial, new, new_g
                 break
-            step = 0.4 * step
+            step = _SHORTER * step
         if taken is None:
             break
         B = _update(B, taken[0] - x, taken[2] - g)
