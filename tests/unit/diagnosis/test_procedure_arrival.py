@@ -21,7 +21,7 @@ def measure_friction_error(one: Analysis) -> float:
 
 
 def test_what_shows_and_changes_next_to_nothing_is_no_cause(tmp_path):
-    case = random_case(1).with_effect("force_gain", {"factor": 1.001})
+    case = random_case(1).with_effect("force_gain", {"factor": 1.0005})
     found = Analysis(case, tmp_path, MATTERS).found
     assert found.verdict == "adequate" and not found.causes and found.remaining is None
     assert "force_gain" in {cause.id for cause in found.negligible}
