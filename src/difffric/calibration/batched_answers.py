@@ -7,9 +7,11 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
+from difffric.compute import pytrees
 from difffric.compute.xla_options import compile_soon
-from difffric.estimation.descent import Model, pose_problem
+from difffric.estimation.descent import Model, goes_in_columns, pose_problem
 from difffric.estimation.mixed_model import Problem
+from difffric.estimation.respond_in_columns import respond_in_columns
 from difffric.estimation.stacked_data import FitData
 from difffric.timings import count_followed
 
@@ -46,8 +48,16 @@ def compute_answers(model: Model, data: FitData, thetas: NDArray, s_etas: NDArra
     """The model's (F_p, d), (batch, n, 2), at shared coordinates (batch, free) and at each push's
     own log mu_s beyond the shared one (batch, n).
 
-    The points go through the compiled program `BATCH` at a time.
+    The points go through the compiled program `BATCH` at a time, or by NumPy all at once.
     """
+    if goes_in_columns(model, data):
+        layout, n = model.layout, data.n
+        c = layout.fixed + np.einsum("nkp,bp->bnk", layout.selection, thetas)
+        c[..., 0] += s_etas
+        pushes = pytrees.pick(data.pushes, np.tile(np.arange(n), len(thetas)))
+        found = respond_in_columns(model.rig, pushes, c.reshape(-1, c.shape[2]), [])
+        count_followed(1, (len(found.model), len(found.model)))
+        return found.model.reshape(-1, n, 2)
     nothing = np.zeros(model.layout.n_free)
     problem = pose_problem(model, data, nothing > 0, nothing, 1.0, data.weights, 1.0)
     size, whole = problem.prior.shape[0], problem.weights.shape[0]

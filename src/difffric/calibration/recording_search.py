@@ -111,12 +111,12 @@ class RecordingSearch:
         rig, data = table_data(rig, self.reduction.pushes, rig.sensor_errors)
         sd = np.hypot(1.0 / np.maximum(data.rough, 1e-300), [0.0, _LOOSE])
         rough = np.where(data.rough > 0, 1.0 / sd, 0.0)
-        data = replace(data, rough=rough, in_few_steps=True)
-        return replace(self.model, rig=rig, free_start=False), data
+        return replace(self.model, rig=rig, free_start=False), replace(data, rough=rough)
 
     def _start_from_forces(self) -> list[Settled]:
         """Where F_p alone and then d too lead."""
         model, data = self._stack_loose_table()
+        data = replace(data, in_few_steps=True)
         found = fit_forces(model, data, self.box, _ROUGH_STEPS)
         if found is None:
             return []
@@ -193,6 +193,7 @@ class RecordingSearch:
     def _find_branches(self, at: Settled) -> list[NDArray]:
         """Each push's log mu_s by which F_p and d are as they were measured."""
         model, data = self._stack_loose_table()
+        data = replace(data, in_few_steps=True)
         return find_branches(model, data, replace(at, weights=data.rough))
 
 
