@@ -32,13 +32,12 @@ def judge_recording(push: PushFriction, own_error: float) -> PushFriction:
     if chi2 is not None and chi2 > MISFIT:
         trace = _widen(trace, own_error, chi2)
         push = replace(push, mu_s_trace=trace)
-        # Once widened, the other ways are looked for.
         words = (
-            "its mu_s is passed over"
+            "is passed over"
             if push.best_way != "mu_s_trace"
-            else f"the standard error of its mu_s is widened {format_number(chi2**0.5, 2)} times"
+            else f"has its error widened {format_number(chi2**0.5, 2)} times"
         )
-        said = f"the whole recording does not fit (chi-square {format_number(chi2, 3)}): {words}"
+        said = f"the whole recording does not fit (chi-square {format_number(chi2, 3)}) and {words}"
         push = replace(push, reason="; ".join(x for x in (push.reason, said) if x))
     other = next((x for x in (push.mu_s_optimal, push.mu_s_slide) if x.value is not None), NONE)
     return replace(push, trace_disagreement=_measure_difference(trace, other))
@@ -120,7 +119,7 @@ def _describe_apart(
     share, i, a, b = max(found)
     return (
         f"in {len(found)} of {len(pushes)} pushes {ways} differ by more than three standard "
-        f"errors, by up to {format_number(100 * share, 2)} % ({_name(pushes, i)}: "
+        f"errors, by up to {format_number(100 * share, 3)} % ({_name(pushes, i)}: "
         f"{format_number(a, 4)} against {format_number(b, 4)}): the model or the set-up is not "
         "right for these data"
     )
