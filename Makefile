@@ -34,6 +34,7 @@ test: $(READY)  ## the tests; some need Debian's GHDL, yosys, Icarus, Chromium, 
 
 study: $(READY)  ## 1800 calibrations, 3670 diagnoses (a day; CASES=50: of each part), the slow tests
 	$(BIN)/python -m studies.calibration $(if $(CASES),--cases $(CASES))
+	$(BIN)/python -m studies.slides $(if $(CASES),--cases $(CASES))
 	$(BIN)/python -m studies.diagnosis $(if $(CASES),--cases $(CASES))
 	$(BIN)/python -m pytest -m slow
 

@@ -1,7 +1,9 @@
-"""The fits with one parameter held: how chi-square rises along it.
+"""The fits with one parameter held: how -2 log-likelihood rises along it.
 
 The parameter stands on a value, and everything else is fitted anew: the other shared parameters,
-each push's mu_s, its start offset. The variances stay at their estimates.
+each push's start offset. Each push's own mu_s is integrated out where friction of a table or of
+free slides scatters (`marginal`), else it is fitted too, and what rises is chi-square. The
+variances stay at their estimates.
 """
 
 from __future__ import annotations
@@ -12,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from difffric.calibration.marginal.marginal_likelihood import MarginalLikelihood
+from difffric.calibration.marginal.polish import fit_others
 from difffric.calibration.result import Fit
 from difffric.errors import NumericalError
 from difffric.estimation.coordinates import NOTHING, has_vanished, to_value
@@ -57,6 +61,12 @@ class HeldParameter:
         self.gone[self.j] = False
         self.slopes = _foretell(fit, self.j)
         self.found: dict[float, tuple[float, Settled]] = {}
+        self.likelihood = None
+        if self.data.kind != RECORDINGS and at.scatter > 0:
+            self.likelihood = MarginalLikelihood(self.model, self.data, at)
+            self.base, base = self._fit_marginally(self.likelihood, at, self.start)
+            self.found[self.start] = (self.base, base)
+            return
         base = self._descend(at, at.held)
         if not np.isfinite(self._chi2(base)):
             raise NumericalError("profile: the misfit is not finite at the fit itself")
@@ -94,6 +104,9 @@ class HeldParameter:
         """Hold the parameter on x and fit everything else, from the nearest point known."""
         near = min(self.found, key=lambda known: abs(known - x))
         _, at = self.found[near]
+        if self.likelihood is not None:
+            self.found[x] = self._fit_marginally(self.likelihood, at, x)
+            return
         theta = at.theta + np.where(at.held, 0.0, self.slopes[0]) * (x - near)
         theta[self.j] = x
         ahead = replace(at, theta=theta, s_eta=at.s_eta + self.slopes[1] * (x - near))
@@ -110,6 +123,15 @@ class HeldParameter:
             if other is not best:
                 best = min(best, self._fit_inside(other), key=self._cost)
         self.found[x] = (self._cost(best), best)
+
+    def _fit_marginally(
+        self, likelihood: MarginalLikelihood, at: Settled, x: float
+    ) -> tuple[float, Settled]:
+        """-2 log-likelihood with the parameter on x, and where the others then are."""
+        theta = at.theta + np.where(self.gone, 0.0, self.slopes[0]) * (x - at.theta[self.j])
+        theta[self.j] = x
+        value, theta = fit_others(likelihood, self.model, at, theta, self.gone, self.j)
+        return (value if np.isfinite(value) else np.inf), replace(at, theta=theta)
 
     def _fit_inside(self, at: Settled) -> Settled:
         """The optimum of everything else, the other parameters within their bounds."""

@@ -35,7 +35,7 @@ _OFF, _NARROWER, _WIDER = 1.0, 0.4, 2.5
 so much narrower or wider at most."""
 _EDGE = 5.0
 """A mean that is off by more than so many standard deviations is cut short by the last point."""
-_ROUNDS, _REFINEMENTS = 8, 12
+_ROUNDS, _REFINEMENTS = 12, 12
 """How often points are laid anew, and how often pieces are halved, at most."""
 _SIMILAR = 0.3
 """Points serve for other variances while the logarithms of these change by less than this."""
@@ -85,11 +85,11 @@ class MarginalLikelihood:
         own = np.concatenate([at.spreads, [1.0]])[data.group]
         self.factor = np.where(data.weights > 0, at.weights * own, 0.0)
         self.held = at.held
-        slope = (np.asarray(at.end.rows)[: data.n] * at.weights[..., None])[..., 0]
+        rows = np.asarray(at.end.rows)[: data.n] * at.weights[..., None]
         # Where the last points lay: the parameters, the centres, what each push's measurements say
         # of its mu_s there, and how the centres move.
-        nothing = np.zeros((data.n, model.layout.n_free))
-        self._laid = at.theta, at.s_eta, np.sum(slope**2, axis=1), nothing
+        drift = self._find_drift(rows, max(at.scatter, LEAST_SCATTER))
+        self._laid = at.theta, at.s_eta, *drift
         # What the last pieces were at: parameters, logarithms of the variances, and the pieces.
         self._known: tuple[NDArray, NDArray, list] = np.full(1, np.nan), np.zeros(1), []
 

@@ -29,6 +29,8 @@ from difffric.estimation.stacked_data import FitData
 ARRIVED = 1e-4
 """A search has arrived where less than this is left to gain in -2 log-likelihood: it moves no
 parameter by a hundredth of its standard error."""
+_CLOSE = 1e-3
+"""The same where the value alone is asked for, of a profile."""
 _LEFT = 100 * ARRIVED
 """A search that leaves more than this did not arrive."""
 _OPEN = 1e-2
@@ -232,6 +234,33 @@ def measure_curvature(objective: _Objective, x: NDArray, g: NDArray) -> NDArray:
             out[j] = (at_b - at_a) / (b - a)
     out[:, fixed] = 0.0
     return 0.5 * (out + out.T)
+
+
+def fit_others(
+    likelihood: MarginalLikelihood,
+    model: Model,
+    at: Settled,
+    theta: NDArray,
+    gone: NDArray,
+    j: int,
+) -> tuple[float, NDArray]:
+    """-2 log-likelihood and the shared parameters (P,) at which it is least near `theta`, with
+    parameter j and those that are `gone` (P,) held, and the variances as they are in `at`."""
+    held = gone.copy()
+    held[j] = True
+    layout = model.layout
+    lower, upper = (np.where(held, theta, x) for x in (layout.lower, layout.upper))
+
+    def evaluate(x: NDArray) -> tuple[float, NDArray]:
+        found = likelihood.evaluate(x, at.scatter, at.spreads)
+        return found.value, np.where(held, 0.0, found.gradient[: len(x)])
+
+    start = np.clip(theta, lower, upper)
+    linear = likelihood.evaluate(start, at.scatter, at.spreads).linear
+    X = linear.evaluate(at.scatter, at.spreads)[1]
+    curvature = 2 * X + _OPEN * np.eye(len(theta))
+    found = search_quadratically(evaluate, start, curvature, lower, upper, _CLOSE, _STEPS)
+    return evaluate(found.x)[0], found.x
 
 
 def _adopt(

@@ -78,7 +78,7 @@ def _plan_step(
 ) -> tuple[NDArray, float]:
     """The step (k,) to the minimum of the quadratic within the bounds, and what it gains."""
     step = np.zeros_like(x)
-    free = ~(((x <= lower) & (g > 0)) | ((x >= upper) & (g < 0)))
+    free = ~(((x <= lower) & (g > 0)) | ((x >= upper) & (g < 0))) & (lower < upper)
     for _ in range(len(x)):
         step = np.zeros_like(x)
         part = np.ix_(free, free)
