@@ -2,7 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 
-from difffric.estimation.thread_pool import map_in_threads
+from difffric.estimation.following.thread_pool import map_in_threads
 from difffric.timings import count_followed, keep_timings
 
 

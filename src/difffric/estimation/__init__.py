@@ -11,7 +11,7 @@ scatters about the shared one; that is a mixed model. The two engines differ in 
 | coordinates | `coordinates` | `effect_coordinates` |
 | data | `stacked_data`, rows of `residuals` | `extended_model`, Gram matrices of a push |
 | recordings | `block_means.stack_even` | `block_means.stack_uneven` |
-| mode | `mixed_model`, `descent` | `ensemble_refits.refit` |
+| mode | `mixed_model`, `descent`, `following` | `ensemble_refits.refit` |
 | variances | `restricted_likelihood` | `ensemble.estimate_scatters`, on a grid |
 | own mu_s of a push | `push_friction.rescan_push_friction` | `ensemble_refits.rescan_bad_pushes` |
 | until all stands | `mixed_fit.settle` | `ensemble_refits.refit` |

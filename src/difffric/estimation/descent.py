@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from difffric.compute import pytrees
 from difffric.estimation.coordinates import START, Layout, to_value
+from difffric.estimation.following.respond_in_columns import respond_in_columns
 from difffric.estimation.mixed_model import (
     MAX_STEPS,
     PADDING,
@@ -23,12 +24,9 @@ from difffric.estimation.mixed_model import (
     FitPoint,
     Problem,
     minimise_stepwise,
-    minimise_table,
-    respond,
     spread_coordinates,
 )
 from difffric.estimation.residuals import Rows
-from difffric.estimation.respond_in_columns import respond_in_columns
 from difffric.estimation.restricted_likelihood import Components, LinearModel, linearise
 from difffric.estimation.stacked_data import RECORDINGS, FitData, pad
 from difffric.rig.rig import Rig
@@ -205,16 +203,24 @@ def _descend(
         end = minimise_stepwise(
             problem, start, steps, lambda c: respond_in_columns(model.rig, pushes, c, moving)
         )
-    elif data.kind == RECORDINGS:
-        given = problem.rig, problem.integrator, problem.pushes
-        end = minimise_stepwise(problem, start, steps, lambda c: respond(*given, c))
     else:
-        end = minimise_table(problem, start, np.asarray(steps))
+        end = _run_programs(problem, start, steps, data.kind)
     whole, _, columns = np.shape(end.rows)
     calls = int(end.steps) + 1
     pushes = calls * data.n, calls * whole
     count_followed(calls, pushes, (pushes[0] * (columns - 1), pushes[1] * (columns - 1)))
     return end
+
+
+def _run_programs(problem: Problem, start: FitPoint, steps: int, kind: str) -> End:
+    """The mode near a point, by compiled programs."""
+    # Imported here, as JAX is with them: pushes in columns do without.
+    from difffric.estimation.following.compiled_search import minimise_table, respond
+
+    if kind != RECORDINGS:
+        return minimise_table(problem, start, np.asarray(steps))
+    given = problem.rig, problem.integrator, problem.pushes
+    return minimise_stepwise(problem, start, steps, lambda c: respond(*given, c))
 
 
 def goes_in_columns(model: Model, data: FitData) -> bool:
@@ -255,6 +261,8 @@ def respond_at(
     count_followed(1, (lanes, lanes), (directions, directions))
     if goes_in_columns(model, data):
         return respond_in_columns(model.rig, pytrees.pick(data.pushes, index), c, moving)
+    from difffric.estimation.following.compiled_search import respond  # it imports JAX
+
     # A compiled program takes as many pushes at a time as the data have, padded.
     rig, whole = pytrees.as_arrays(model.rig), len(pad(np.zeros(data.n), data.n))
     parts = []
@@ -270,6 +278,8 @@ def prepare_descent(model: Model, data: FitData, at: Settled) -> None:
     needs one; may be left to another thread."""
     if goes_in_columns(model, data):
         return
+    from difffric.estimation.following.compiled_search import respond  # it imports JAX
+
     problem, start = _pose_descent(model, data, at, at.held, data.weights, model.scatter, 1.0)
     given = problem.rig, problem.integrator, problem.pushes
     respond.prepare(*given, spread_coordinates(problem, start))

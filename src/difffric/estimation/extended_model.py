@@ -24,8 +24,8 @@ from difffric.compute import pytrees
 from difffric.compute.xla_options import compile_soon
 from difffric.estimation.block_means import UnevenBlocks
 from difffric.estimation.effect_coordinates import Coordinates
+from difffric.estimation.following.thread_pool import map_in_threads
 from difffric.estimation.stacked_data import RECORDINGS, SLIDES, TABLE
-from difffric.estimation.thread_pool import map_in_threads
 from difffric.rig import catalogue
 from difffric.rig.rig import Rig
 from difffric.simulation.observables import observe, observe_steps

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.estimation.descent import Model, Settled, clip_starts, descend, respond_at
+from difffric.estimation.following.thread_pool import map_in_threads
 from difffric.estimation.mixed_model import End
 from difffric.estimation.stacked_data import RECORDINGS, FitData
-from difffric.estimation.thread_pool import map_in_threads
 
 OTHERWISE = (-3.0, -1.5, -0.7, 0.7, 1.5, 3.0)
 """Where else each push's own mu_s is looked for, in units of the scatter."""

@@ -1,16 +1,13 @@
 """What each kind of data asks of the model: residuals of one push and their exact Jacobian.
 
 A push answers with rows [J | r]: r = measured - model, J its derivatives by the push's
-coordinates (forward mode). Rows are in units of their channel's noise once divided by it.
+coordinates (forward mode). Rows are in units of their channel's noise once divided by it. JAX is
+imported by the methods: `following.respond_in_columns` answers likewise without it.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
-import jax
-import jax.numpy as jnp
-from jaxtyping import Float
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from difffric.compute import pytrees
 from difffric.estimation.coordinates import START, rig_at, to_value
@@ -19,7 +16,10 @@ from difffric.rig.rig import Rig
 from difffric.simulation.observables import observe
 from difffric.simulation.oscillator import ViscousSlide
 from difffric.simulation.segments import Integrator, Push
-from difffric.simulation.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    import jax
+    from jaxtyping import Float
 
 FORCE, DISTANCE = 0, 1
 """The channels of rows: the force sensor's and the probe's."""
@@ -57,6 +57,8 @@ class TablePush(NamedTuple):
     def respond(self, rig: Rig, integrator: Integrator, coordinates: Array) -> Rows:
         """The residuals of F_p and d. Where the model's part never leaves the tip it slides no
         distance: d counts as 0. What was not measured has a residual and derivatives of 0."""
+        import jax
+        import jax.numpy as jnp
 
         def compare(c: Array) -> Any:
             seen = observe(set_stroke(rig_at(rig, c), self.stroke), self.velocity, integrator)
@@ -81,6 +83,8 @@ class SlidePush(NamedTuple):
 
     def respond(self, rig: Rig, integrator: Integrator, coordinates: Array) -> Rows:
         """Residual of d, `ViscousSlide.rest` of equation (2) without contact."""
+        import jax
+        import jax.numpy as jnp
 
         def compare(c: Array) -> Any:
             at = rig_at(rig, c)
@@ -127,6 +131,10 @@ class TracePush(NamedTuple):
     def respond(self, rig: Rig, integrator: Integrator, coordinates: Array) -> Rows:
         """The residuals of all samples, as the triangular factor of their [J | r], a channel after
         the other: a few rows with the same normal equations and the same sum of squares."""
+        import jax
+        import jax.numpy as jnp
+
+        from difffric.simulation.trajectory import Trajectory
 
         def compare(c: Array) -> Any:
             at = set_stroke(rig_at(rig, c), self.stroke)
@@ -158,6 +166,9 @@ def _factorise(
     It is as accurate as Householder's, its diagonal is not negative, so that it is continuous, and
     it needs no call to LAPACK, which may block when it is called for many pushes at once.
     """
+    import jax
+    import jax.numpy as jnp
+
     A = jnp.column_stack([jacobian, r])
     size = A.shape[1]
 
@@ -196,6 +207,8 @@ def _whiten_residuals(grid: Grid, model: Array) -> Array:
 
 def _centre_residuals(grid: Grid, model: Array) -> Array:
     """Measured less model, made independent, less what an unknown zero can explain."""
+    import jax.numpy as jnp
+
     r, one = _whiten_residuals(grid, model), _whiten(grid, jnp.ones_like(grid.y))
     norm = jnp.sum(one**2)
     return r - one * (jnp.sum(one * r) / jnp.where(norm > 0, norm, 1.0))

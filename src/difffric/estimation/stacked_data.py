@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import jax
 import numpy as np
 from numpy.typing import NDArray
 
+from difffric.compute.pytrees import map_tree
 from difffric.errors import InputError
 from difffric.estimation.block_means import stack_even
 from difffric.estimation.coordinates import START, to_coordinate
@@ -71,7 +71,7 @@ def pad(array: Any, n: int) -> Any:
     first entry up to the next multiple of `PADDING`."""
     whole = -(-n // PADDING) * PADDING
     index = np.concatenate([np.arange(n), np.zeros(whole - n, int)])
-    return jax.tree.map(lambda a: np.asarray(a)[index], array)
+    return map_tree(lambda a: np.asarray(a)[index], array)
 
 
 def find_strokes(rig: Rig, stroke: NDArray) -> tuple[Rig, NDArray]:

@@ -13,9 +13,9 @@ from difffric.compute import pytrees
 from difffric.estimation import coordinates
 from difffric.estimation.coordinates import layout
 from difffric.estimation.descent import Model, first_point
-from difffric.estimation.mixed_model import respond
+from difffric.estimation.following.compiled_search import respond
+from difffric.estimation.following.respond_in_columns import respond_in_columns
 from difffric.estimation.push_friction import find_best_friction, find_push_friction
-from difffric.estimation.respond_in_columns import respond_in_columns
 from difffric.estimation.stacked_data import slides_data, table_data, traces_data
 from difffric.measurements.recordings import Channel, Recording, Recordings
 from difffric.measurements.reduction.reduce import reduce_recordings

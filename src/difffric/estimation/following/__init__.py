@@ -1,0 +1,1 @@
+"""How a fit has its pushes followed: by NumPy in columns, by compiled programs, in threads."""
