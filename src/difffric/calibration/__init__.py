@@ -14,9 +14,10 @@ How a fit finds its optimum, in the order in which it is done:
 
 1. `free_parameters` chooses what is free.
 2. A table, or free slides: `multistart` descends from several starts (`table_starts`), follows the
-   best to the end, looks for others in `other_basins`, and lets the fits compete by
-   `marginal_likelihood`. Each push's own mu_s may jump between `mu_s_branches`; `batched_answers`
-   computes F_p and d at hundreds of points at once.
+   best to the end, looks for others in `other_basins`, lets the fits compete by the marginal
+   likelihood, and brings the best to the optimum of that (`marginal.polish`). Each push's own mu_s
+   may jump between `mu_s_branches`; `batched_answers` computes F_p and d at hundreds of points at
+   once.
 3. Recordings: `recording_search` starts from where their peaks and distances lead, and fits every
    sample.
 4. `result_builder` turns the settled point into a `Fit`.

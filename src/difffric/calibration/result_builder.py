@@ -24,6 +24,8 @@ _ABSURD_CHI2 = 10.0
 """Reduced chi-square beyond which an optimum counts only where most starts reach it."""
 _UNLIKELY = 1e-3
 """The probability of chi-square below which a misfit is told, where the noise is known."""
+_ABSURD_SPREAD = 0.3
+"""An estimated spread of F_p or d beyond this share of their median is no error of measurement."""
 _SURPRISING = 3.3
 """Standard deviations of chi-square beyond which a misfit is told (p < 5e-4)."""
 
@@ -135,6 +137,7 @@ def _note_doubts(
             "the optimum lies at a change of regime of one push or more, where derivatives "
             "jump: error bars hold for one side of it"
         )
+    notes += _note_spreads(data, at)
     if freedom > 0 and not data.groups:
         chi2 = at.components.chi2
         sigma = np.sqrt(_chi2_variance(freedom, reduction))
@@ -163,6 +166,21 @@ def _note_bounded_starts(
         f"the start offset is at the bound of what the recording holds ({which}{rest}): the model "
         "does not follow the push, or t = 0 is not the start of the pusher's motion"
     ]
+
+
+def _note_spreads(data: FitData, at: Settled) -> list[str]:
+    """Which estimated spreads are absurd beside what was measured."""
+    notes, seen = [], np.asarray(data.pushes.measured)[: data.n] if data.groups else None
+    for g, (name, spread) in enumerate(zip(data.groups, at.components.spreads, strict=True)):
+        typical = float(np.median(np.abs(np.asarray(seen)[data.group == g])))
+        if spread > _ABSURD_SPREAD * typical:
+            what, scale, unit = ("F_p", 1.0, "N") if name == "force" else ("d", 1e3, "mm")
+            notes.append(
+                f"the spread of {what} was estimated as {scale * spread:.3g} {unit}, where a "
+                f"typical {what} is {scale * typical:.3g} {unit}: it stands for a misfit, or for "
+                "data that do not belong together, not for errors of measurement"
+            )
+    return notes
 
 
 def _chi2_variance(freedom: int, reduction: Reduction | None) -> float:

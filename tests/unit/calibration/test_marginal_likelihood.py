@@ -123,6 +123,15 @@ def test_without_a_scatter_the_mode_is_the_optimum():
     assert optimum.covariance == pytest.approx(mode.covariance, rel=0.01)
 
 
+def test_an_estimated_spread_as_large_as_the_distances_is_told():
+    made = make_slides(1, 60, 0.03)
+    shuffled = np.random.default_rng(0).permutation(made.sliding_distance)
+    unknown = {"sliding_distance_se": None, "release_velocity_se": None}
+    fit = df.fit(GUESS, replace(made, sliding_distance=shuffled, **unknown))
+    assert any("the spread of d was estimated as" in note for note in fit.notes)
+    assert not df.fit(GUESS, replace(made, **unknown)).notes
+
+
 @pytest.mark.slow
 def test_a_rounding_does_not_change_where_a_fit_ends():
     setup, pushes = df.load_setup(EXAMPLES / "setup.toml"), df.load(EXAMPLES / "pushes.csv")
