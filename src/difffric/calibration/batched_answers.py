@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from difffric.compute import pytrees
 from difffric.compute.xla_options import compile_soon
 from difffric.estimation.descent import Model, goes_in_columns, pose_problem
-from difffric.estimation.mixed_model import Problem
 from difffric.estimation.following.respond_in_columns import respond_in_columns
+from difffric.estimation.mixed_model import Problem
 from difffric.estimation.stacked_data import FitData
 from difffric.timings import count_followed
 

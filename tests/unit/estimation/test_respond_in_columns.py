@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -115,3 +118,15 @@ def test_each_push_finds_its_own_friction_and_the_best_of_its_branches(pushes, r
     trials = start + np.array([[-0.2], [0.01], [0.25]])
     best = find_best_friction(model, data, at, index, trials)
     np.testing.assert_allclose(best.cost, found.cost, rtol=1e-6)
+
+
+def test_recordings_are_identified_without_jax():
+    program = """
+import sys
+import difffric as df
+examples = sys.argv[1]
+df.identify(df.load_setup(examples + "/setup.toml"), df.load(examples + "/pushes.tdms"))
+assert "jax" not in sys.modules
+"""
+    examples = Path(__file__).parents[3] / "examples"
+    subprocess.run([sys.executable, "-c", program, str(examples)], check=True)

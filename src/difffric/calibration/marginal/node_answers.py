@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from difffric.calibration.batched_answers import compute_answers, stack_measured
-from difffric.compute.arrays import slope
-from difffric.compute.lanes import differentiate
-from difffric.estimation.coordinates import rig_at
+from difffric.compute.pytrees import pick
 from difffric.estimation.descent import Model
-from difffric.estimation.stacked_data import SLIDES, FitData
-from difffric.rig import parameters
-from difffric.simulation.columns import observe_columns, serves
-from difffric.simulation.oscillator import ViscousSlide
+from difffric.estimation.following.respond_in_columns import respond_in_columns
+from difffric.estimation.stacked_data import FitData
+from difffric.simulation.columns import serves
 
 _STEP = 1e-4
 """Of a coordinate, for derivatives by differences where no exact ones are to be had."""
@@ -46,8 +43,9 @@ class Answerer:
     def answer(self, theta: NDArray, own: NDArray, which: NDArray) -> NodeAnswers:
         """Residuals of the pushes `which` (m,) at shared coordinates `theta` (P,) and at own log
         mu_s beyond the shared (points, m)."""
-        ask = self._answer_in_columns if self.in_columns else self._answer_by_differences
-        values, by = ask(theta, own, which)
+        if self.in_columns:
+            return self._answer_in_columns(theta, own, which)
+        values, by = self._answer_by_differences(theta, own, which)
         seen = self.measured[which]
         # As in a descent: a part that never leaves the tip slides no distance.
         exists = np.isfinite(values) & np.isfinite(seen)
@@ -56,47 +54,20 @@ class Answerer:
         J[..., self.directions] = np.where(exists[..., None], -np.nan_to_num(by), 0.0)
         return NodeAnswers(r, J)
 
-    def _answer_in_columns(
-        self, theta: NDArray, own: NDArray, which: NDArray
-    ) -> tuple[NDArray, NDArray]:
-        """(points, m, rows) values and (points, m, rows, directions) derivatives."""
-        layout, points = self.model.layout, len(own)
-        at = (layout.fixed[which] + layout.selection[which] @ theta).T
-        columns = [np.tile(c, points) for c in at]
-        columns[0] = columns[0] + own.ravel()
-        index = np.tile(which, points)
-        rows = np.eye(len(self.directions))[:, :, None]
-
-        def follow(free: list[Any]) -> list[Any]:
-            c: list[Any] = list(columns)
-            for k, x in zip(self.directions, free, strict=True):
-                c[k] = x
-            return self._observe(rig_at(self.model.rig, c), index)
-
-        with np.errstate(all="ignore"):  # what a choice leaves aside may be no number
-            values, by = differentiate(follow, [columns[k] for k in self.directions], list(rows))
-        shape = (points, len(which))
-        directions = len(self.directions)
-        by = [np.broadcast_to(x, (directions, own.size)).reshape(directions, *shape) for x in by]
-        values = np.stack([np.reshape(x, shape) for x in values], axis=-1)
-        return values, np.moveaxis(np.stack(by, axis=-1), 0, -1)
-
-    def _observe(self, rig: Any, index: NDArray) -> list[Any]:
-        """The columns of what is measured of the pushes `index`, a column a row of residuals."""
-        pushes = self.data.pushes
-        if self.data.kind == SLIDES:
-            speed: Any = np.asarray(pushes.release_velocity)[index]
-            slide = ViscousSlide(-rig.free(0.0), -slope(rig.free, speed))
-            return [slide.rest(speed)[1]]
-        if rig.pusher.stroke is not None:
-            rig = parameters.with_stroke(rig, np.asarray(pushes.stroke)[index])
-        seen = observe_columns(rig, np.asarray(pushes.velocity)[index])
-        return [seen.peak_force, seen.sliding_distance]
+    def _answer_in_columns(self, theta: NDArray, own: NDArray, which: NDArray) -> NodeAnswers:
+        layout, index = self.model.layout, np.tile(which, len(own))
+        c = layout.fixed[index] + layout.selection[index] @ theta
+        c[:, 0] += own.ravel()
+        pushes = pick(self.data.pushes, index)
+        rows = respond_in_columns(self.model.rig, pushes, c, self.directions).rows
+        rows = rows.reshape(*own.shape, *rows.shape[1:])
+        return NodeAnswers(rows[..., -1], rows[..., :-1])
 
     def _answer_by_differences(
         self, theta: NDArray, own: NDArray, which: NDArray
     ) -> tuple[NDArray, NDArray]:
-        """The same from the compiled program, by central differences."""
+        """(points, m, rows) values and (points, m, rows, directions) derivatives, from the compiled
+        program by central differences."""
         layout, points = self.model.layout, len(own)
         every = np.zeros((points, self.data.n))
         every[:, which] = own
