@@ -59,7 +59,7 @@ class Answerer:
         c = layout.fixed[index] + layout.selection[index] @ theta
         c[:, 0] += own.ravel()
         pushes = pick(self.data.pushes, index)
-        rows = respond_in_columns(self.model.rig, pushes, c, self.directions).rows
+        rows = respond_in_columns(self.model.rig, pushes, c, self.directions.tolist()).rows
         rows = rows.reshape(*own.shape, *rows.shape[1:])
         return NodeAnswers(rows[..., -1], rows[..., :-1])
 
