@@ -50,7 +50,7 @@ _HALVED = 6
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class Likelihood:
     """The likelihood at a point, and how it changes about it."""
 
     theta: NDArray
@@ -93,7 +93,7 @@ class MarginalLikelihood:
         # What the last pieces were at: parameters, logarithms of the variances, and the pieces.
         self._known: tuple[NDArray, NDArray, list] = np.full(1, np.nan), np.zeros(1), []
 
-    def evaluate(self, theta: NDArray, scatter: float, spreads: NDArray) -> Evaluation:
+    def evaluate(self, theta: NDArray, scatter: float, spreads: NDArray) -> Likelihood:
         """At shared parameters (P,), a scatter and the spreads (groups,)."""
         data, layout = self.data, self.model.layout
         s, n = max(scatter, LEAST_SCATTER), self.data.n
@@ -133,7 +133,7 @@ class MarginalLikelihood:
             self._known = theta, np.log([s, *spreads]), pieces
         value = each.sum() + 2 * data.counts @ np.log(spreads) + away @ away
         seen = mean, sd, linear, beside_jump
-        return Evaluation(theta, scatter, spreads, each, float(value), gradient, *seen)
+        return Likelihood(theta, scatter, spreads, each, float(value), gradient, *seen)
 
     def _reuse(self, theta: NDArray, s: float, spreads: NDArray, weights: NDArray):
         """The last pieces, integrated anew: the model's answers do not depend on the variances."""

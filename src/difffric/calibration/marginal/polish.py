@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.calibration.marginal.marginal_likelihood import Evaluation, MarginalLikelihood
+from difffric.calibration.marginal.marginal_likelihood import Likelihood, MarginalLikelihood
 from difffric.calibration.marginal.quasi_newton import Found, search_quadratically
 from difffric.estimation.coordinates import NOTHING
 from difffric.estimation.descent import Model, Settled, descend, take_end
@@ -55,6 +55,8 @@ _TOLD_APART = 1e-3
 _SMALL = 1e-3
 """For derivatives of the determinant by logarithms of the variances."""
 _TRUST = 30.0
+"""How far the descent of each push's own mu_s trusts its linear model at first: far, as it starts
+beside its mode."""
 
 
 class _Objective:
@@ -88,7 +90,7 @@ class _Objective:
             return x[: self.P], float(np.exp(v[0])), np.exp(v[1:])
         return x[: self.P], self.scatter, np.exp(v)
 
-    def look(self, x: NDArray) -> Evaluation:
+    def look(self, x: NDArray) -> Likelihood:
         """The marginal likelihood at a point."""
         return self.likelihood.evaluate(*self.unpack(x))
 
