@@ -19,6 +19,7 @@ from difffric.errors import InputError
 from difffric.identification.crossing import Crossing, find_crossings_in_columns
 from difffric.identification.push_models import QUANTITIES, PushModels, Quantity
 from difffric.rig.rig import Rig
+from difffric.simulation.observables import kind_of_peak
 from difffric.simulation.segments import Integrator
 from difffric.units import to_um
 
@@ -262,6 +263,7 @@ def _find_crossings(
     points = np.broadcast_to(_grid(bracket), (len(target), _GRID))
     for level in range(_LEVELS):
         value, slope, kind = models.observe_distinct_rows(which, points, by_force[which])
+        kind = np.where(by_force[which, None], kind_of_peak(kind), kind)
         excess = value / target[which, None] - 1.0
         a, b = excess[:, :-1], excess[:, 1:]
         sa, sb = slope[:, :-1], slope[:, 1:]

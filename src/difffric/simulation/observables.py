@@ -122,6 +122,10 @@ def observe_steps(loop: StepLoop, m: LoopState) -> Observables:
     )
 
 
+_DECIDED = 3
+"""Times that a part is held after which its peak has come: at the start, and after a slip."""
+
+
 def _kind(regime, stuck_first, *counts):
     kind = regime + 4 * stuck_first
     for count in counts:
@@ -132,6 +136,14 @@ def _kind(regime, stuck_first, *counts):
 def regime_of(kind: Int[NDArray, "*n"]) -> Int[NDArray, "*n"]:
     """The regime (a code of `events.Regime`) that a kind says."""
     return (np.asarray(kind) >> 30) % 4
+
+
+def kind_of_peak(kind: Int[NDArray, "*n"]) -> Int[NDArray, "*n"]:
+    """A number that changes wherever the derivative of F_p may jump, of that for F_p and d: once a
+    part has been held again after a slip, how often it is held later is nothing to the peak."""
+    kind = np.asarray(kind)
+    sticks = (kind >> 10) % 1024
+    return kind - ((sticks - np.minimum(sticks, _DECIDED)) << 10)
 
 
 def observe_segments(push: Push, state: State) -> Observables:

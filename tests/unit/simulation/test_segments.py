@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from difffric.compute.lanes import differentiate, repeat_while, spread
+from difffric.identification.estimators import identify
+from difffric.measurements.pushes import Pushes
 from difffric.rig import parameters
 from difffric.rig.rig import spring_damper_rig
 from difffric.simulation.closed_form import ClosedForm
@@ -95,3 +97,14 @@ def test_the_cost_of_a_stroke_does_not_grow_with_its_length(metres):
     push = Push(slow_rig(stroke=np.full(1, metres)), np.full(1, 5e-4), ClosedForm())
     with np.errstate(all="ignore"):
         assert push.last_state().cycles[0] < 50
+
+
+def test_peaks_of_long_strokes_are_identified():
+    """At low speed the peak is the breakaway's force: mu_s = F_p / (m g)."""
+    forces = np.array([26.2, 26.4, 26.1, 26.3, 26.2])
+    pushes = Pushes(
+        np.array([6, 10, 15, 20, 30]) / 6e4, forces, stroke=np.full(5, 0.04),
+        peak_force_se=np.full(5, 0.1),
+    )  # fmt: skip
+    found = identify(slow_rig(stroke=None), pushes)
+    np.testing.assert_allclose(found.values("mu_s_force"), forces / 18.9 / GRAVITY, rtol=0.02)
