@@ -14,6 +14,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -25,6 +26,7 @@ from studies import runs
 from tests.hidden import case as cases
 from tests.hidden import random_case, strength, write
 from tests.hidden.outsiders import TABLE as OUTSIDERS
+from tests.hidden.scaling import with_misfit
 from tests.reference.effect_parameters import NULLS
 
 PAGE = runs.ROOT / "docs" / "study.md"
@@ -74,6 +76,15 @@ def _counts(i, seed):
     return random_case(seed, _turn(IN_RECORDINGS, i), change=share, nuisances=True)
 
 
+def _strong_misfit(i, seed):
+    """An effect that moves the samples by 10 to 100 times the noise."""
+    effect, times = _turn(IN_RECORDINGS, i), 10 ** np.random.default_rng(seed).uniform(1, 2)
+    for attempt in range(20):
+        with suppress(ValueError):
+            return with_misfit(random_case(seed + 1000 * attempt, effect), effect, times)
+    raise ValueError(f"no rig shows {effect} so strongly")
+
+
 def _pair(i, seed):
     rng = np.random.default_rng([seed, 7])
     names = [e for e in IN_RECORDINGS if e != "presliding"]
@@ -101,6 +112,7 @@ GROUPS = {
     "with nuisances": Group(8, 240, _counts, 0.005),
     "pairs": Group(9, 200, _pair),
     "outsiders": Group(10, 150, _outsider),
+    "strong": Group(11, 60, _strong_misfit, 0.005),
 }
 
 

@@ -182,6 +182,28 @@ def pair_rows(lines: Sequence[dict]) -> list[tuple[str, str]]:
     ]
 
 
+def ends_at_floor(line: dict) -> bool:
+    """Whether the error on held-out pushes is the noise's, to a twentieth."""
+    gain = line["gain"]
+    return gain["heldout_nrmse_after"] < 1.05 * gain["noise_floor"]
+
+
+def strong_rows(lines: Sequence[dict]) -> list[tuple[str, str]]:
+    """Of data in which one effect is 10 to 100 times the noise."""
+    short = [line for line in lines if not ends_at_floor(line)]
+    return [
+        ("held-out error within 5 % of the floor (asked: 95 %)", str(share(lines, ends_at_floor))),
+        ("the others say so", str(share(short, lambda x: x["remaining"] is not None))),
+        ("first set holds the truth", str(share(lines, first_right))),
+        ("`adequate`: detected, and too small to matter", str(share(lines, is_adequate))),
+    ]
+
+
+def is_adequate(line: dict) -> bool:
+    """Whether nothing is named."""
+    return line["verdict"] == "adequate"
+
+
 def outsider_rows(lines: Sequence[dict]) -> list[tuple[str, str]]:
     """Of data in which something is hidden that the catalogue does not have."""
     there = [line for line in lines if line["verdict"] == "unexplained"]
@@ -232,7 +254,8 @@ def slope(p: np.ndarray, right: np.ndarray) -> float:
 def rows_of(group: str, lines: Sequence[dict]) -> list[tuple[str, str]]:
     """A group's figures."""
     good = answered(lines)
-    find = {"pairs": pair_rows, "outsiders": outsider_rows}.get(group, hidden_rows)
+    own = {"pairs": pair_rows, "outsiders": outsider_rows, "strong": strong_rows}
+    find = own.get(group, hidden_rows)
     rows = (clean_rows if group.startswith("clean") else find)(good)
     broken = [line["case"] for line in lines if "error" in line]
     seconds = np.median([x["seconds"] for x in good]) if good else np.nan

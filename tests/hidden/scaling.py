@@ -142,6 +142,24 @@ def with_change(case: Case, name: str, share: float, change=typical_change) -> C
     return case.scaled(name, _factor(size_at, share, *case.factors(name)))
 
 
+def with_misfit(case: Case, name: str, times: float) -> Case:
+    """One hidden effect scaled so that it alone moves the samples by so many times the noise, root
+    mean square, all else as it is."""
+    plain = simulate.record(case.plain(), noisy=False)
+
+    def size_at(factor):
+        moved = []
+        for one, at in zip(
+            simulate.record(case.only(name).scaled(name, factor), noisy=False), plain, strict=True
+        ):
+            n = min(len(one.force), len(at.force))
+            moved.append((one.force[:n] - at.force[:n]) / case.noise.force)
+            moved.append((one.position[:n] - at.position[:n]) / case.noise.position)
+        return math.sqrt(np.mean(np.concatenate(moved) ** 2))
+
+    return case.scaled(name, _factor(size_at, times, *case.factors(name)))
+
+
 def visible(case: Case, name: str) -> bool:
     """Whether such data can show an effect at all: recordings have nothing that is read off, and
     at one mass an extra normal force is a larger mu_s."""
