@@ -48,6 +48,8 @@ _LOWEST, _HIGHEST = np.log(1e-6), 0.0
 """The logarithms between which a scatter is looked for."""
 _ELSEWHERE = (0.003, 0.01, 0.03)
 """Scatters that compete with none: its likelihood is flat towards zero."""
+_HOPELESS = 0.5
+"""A scatter beyond this hides a misfit: there is nothing near that is worth polishing."""
 _NONE = 1e-4
 """A scatter below this is looked for elsewhere too."""
 _TOLD_APART = 1e-3
@@ -132,6 +134,8 @@ def polish(model: Model, data: FitData, at: Settled) -> Settled:
     """
     if not model.estimate_scatter and at.scatter == 0:
         return at  # with nothing to integrate over, the mode is the optimum
+    if at.scatter > _HOPELESS:
+        return at  # a wrong basin, in which the likelihood is full of jumps, and takes long
     objective = _Objective(model, data, at)
     found = _search(objective)
     if objective.estimate:
