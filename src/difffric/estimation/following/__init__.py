@@ -1,1 +1,6 @@
-"""How a fit has its pushes followed: by NumPy in columns, by compiled programs, in threads."""
+"""How a fit has its pushes followed.
+
+`respond_in_columns` does it by NumPy, all pushes at once, where every law is affine;
+`compiled_search` has the programs for all else and for a table's whole search; `thread_pool` runs
+several of them beside each other.
+"""
