@@ -90,7 +90,7 @@ class SlidePush(NamedTuple):
             at = rig_at(rig, c)
             slide = ViscousSlide(-at.free(0.0), -jax.jacfwd(at.free)(0.0))
             d = slide.rest(self.release_velocity)[1]
-            r = self.measured - d
+            r = jnp.where(jnp.isnan(self.measured), 0.0, self.measured - d)
             return r, (r, jnp.stack([jnp.nan, d]))
 
         jacobian, (r, model) = jax.jacfwd(compare, has_aux=True)(coordinates)

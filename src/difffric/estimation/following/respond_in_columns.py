@@ -104,9 +104,11 @@ def _respond_slides(pushes: SlidePush, moved: _Moved) -> Rows:
     v: Any = np.asarray(pushes.release_velocity, float)
     slide = ViscousSlide(-at.free(0.0), -xp.slope(at.free, *moved.columns))
     d, dd = moved.split(slide.rest(v)[1])
-    r = np.asarray(pushes.measured, float) - d[:, None]
+    measured = np.asarray(pushes.measured, float)
+    there = ~np.isnan(measured)
+    r = np.where(there, measured - d[:, None], 0.0)
     model = np.stack([np.full(moved.n, np.nan), d], axis=1)
-    return Rows(moved.join(-dd[:, :, None], r), model, np.full((moved.n, 1), np.inf))
+    return Rows(moved.join(-dd[:, :, None] * there, r), model, np.full((moved.n, 1), np.inf))
 
 
 def _respond_traces(pushes: TracePush, moved: _Moved) -> Rows:
