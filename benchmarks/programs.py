@@ -23,7 +23,7 @@ from difffric.compute.programs import record
 from difffric.compute.programs.record import Record
 
 HEAD = "| program | traced s | compiled s | MB | loaded s | calls | run s |\n|" + " --- |" * 7
-DEFAULT = ("identify, recordings", "fit, recordings", "diagnose examples/hidden")
+DEFAULT = ("fit, a table", "plan", "diagnose examples/hidden")
 
 
 def run(words: list[str], folder: Path, tree: Path) -> tuple[list[Record], float]:
