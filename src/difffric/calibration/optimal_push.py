@@ -22,7 +22,7 @@ from difffric.calibration.result import Fit
 from difffric.errors import InputError
 from difffric.estimation import coordinates
 from difffric.estimation.coordinates import slope, to_coordinate
-from difffric.estimation.descent import Settled, linearise_at
+from difffric.estimation.descent import Settled
 from difffric.estimation.fisher_information import information, responses
 from difffric.estimation.open_parameters import open_units
 from difffric.estimation.residuals import TablePush, TracePush
@@ -41,6 +41,8 @@ _SHOWN = 5
 _VAGUE = 1e-6
 """What is known of each parameter anyhow, as information in units of `open_units`: a standard
 error of 1000 of them, so that log det exists where the fit left a parameter open."""
+_LEAST_VARIANCE = 1e-13
+"""Share of the largest variance below which one is rounding."""
 
 
 @dataclass(frozen=True)
@@ -294,8 +296,12 @@ def _find_usable(fit: Fit, added: NDArray, answers: NDArray) -> tuple[NDArray, l
 
 
 def _gather_information(fit: Fit, keep: list[int]) -> NDArray:
-    """The information (keep, keep) that the fit's data hold on the parameters `keep`."""
-    model, data, at = fit.state.model, fit.state.data, fit.state.at
-    now = linearise_at(model, data, at).evaluate(at.scatter, at.spreads)[1][np.ix_(keep, keep)]
+    """The information (keep, keep) that the fit's data hold on the parameters `keep`: the inverse
+    of the covariance that the fit tells."""
+    covariance = fit.covariance[np.ix_(keep, keep)]
+    size = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    values = np.maximum(values, _LEAST_VARIANCE * values.max())
+    now = (vectors / values) @ vectors.T / np.outer(size, size)
     unit = open_units(fit.rig, [fit.names[j] for j in keep], fit.fastest_speed)
     return now + np.diag(_VAGUE / unit**2)
