@@ -159,7 +159,9 @@ def descend(
 
     A start offset that leaves its bounds is held at the bound, and the search goes on from there.
     """
-    end = _descend(model, data, at, held, weights, scatter, trust, steps)
+    given = held, weights, scatter, trust
+    problem, point = _pose_descent(model, data, at, *given)
+    end = _search_near(model, data, problem, point, steps)
     bounded = np.zeros(data.n, bool)
     for _ in range(_BOUNDINGS):
         start, beyond = clip_starts(model, data, np.asarray(end.point.start)[: data.n])
@@ -167,7 +169,9 @@ def descend(
             break
         bounded |= beyond
         at = replace(take_end(at, end, held, scatter), start=start)
-        end = _descend(model, data, at, held, weights, scatter, trust, steps, bounded)
+        problem, point = _pose_descent(model, data, at, *given)
+        problem = _hold_starts(problem, bounded, start)
+        end = _search_near(model, data, problem, point, steps)
     return end
 
 
@@ -180,35 +184,28 @@ def clip_starts(model: Model, data: FitData, start: NDArray) -> tuple[NDArray, N
     return np.clip(start, low, high), (start <= low) | (start >= high)
 
 
-def _descend(
-    model: Model,
-    data: FitData,
-    at: Settled,
-    held: NDArray,
-    weights: NDArray,
-    scatter: float,
-    trust: float,
-    steps: int,
-    fixed_starts: NDArray | None = None,
-) -> End:
-    """As `descend`, without regard to bounds; `fixed_starts` (n,) says whose start offset stays."""
-    problem, start = _pose_descent(model, data, at, held, weights, scatter, trust)
-    if fixed_starts is not None:
-        fixed, starts = np.array(problem.fixed), np.array(problem.starts)
-        fixed[: data.n, -1] += np.where(fixed_starts, at.start, 0.0)
-        starts[: data.n] = np.where(fixed_starts, 0.0, starts[: data.n])
-        problem = problem._replace(fixed=fixed, starts=starts)
+def _hold_starts(problem: Problem, which: NDArray, start: NDArray) -> Problem:
+    """The problem with the start offsets of the pushes `which` (n,) held at `start` (n,)."""
+    n, fixed, starts = len(which), np.array(problem.fixed), np.array(problem.starts)
+    fixed[:n, -1] += np.where(which, start, 0.0)
+    starts[:n] = np.where(which, 0.0, starts[:n])
+    return problem._replace(fixed=fixed, starts=starts)
+
+
+def _search_near(model: Model, data: FitData, problem: Problem, start: FitPoint, steps: int) -> End:
+    """The mode near a point, by NumPy or by compiled programs; its pushes are counted."""
     if goes_in_columns(model, data):
         pushes, moving = pytrees.pick(data.pushes, slice(data.n)), _list_moving(model)
+        directions = len(moving)
         end = minimise_stepwise(
             problem, start, steps, lambda c: respond_in_columns(model.rig, pushes, c, moving)
         )
     else:
+        directions = problem.fixed.shape[1]
         end = _run_programs(problem, start, steps, data.kind)
-    whole, _, columns = np.shape(end.rows)
     calls = int(end.steps) + 1
-    pushes = calls * data.n, calls * whole
-    count_followed(calls, pushes, (pushes[0] * (columns - 1), pushes[1] * (columns - 1)))
+    followed = calls * data.n, calls * len(end.rows)
+    count_followed(calls, followed, (followed[0] * directions, followed[1] * directions))
     return end
 
 
