@@ -23,8 +23,10 @@ PAGE = runs.ROOT / "docs" / "study.md"
 TRUTH = reference.Rig(m=0.37, mu_s=0.27, ratio=0.75, k_v=0.1, k=8e5, b=1500.0)
 """The slides': a block of acrylic of 0.37 kg."""
 GUESS = df.spring_damper_rig(mass=0.37, mu_s=0.2, k=8e5, b=1500.0, k_v=0.02)
-PUSHED = reference.Rig(m=18.9, mu_s=0.141, ratio=0.75, k_v=8.0, k=8e5, b=1500.0, stroke=2e-3)
-"""The pushes'."""
+PUSHED = reference.Rig(m=18.9, mu_s=0.141, ratio=0.75, k_v=8.0, k=8e5, b=1500.0)
+"""The pushes'; the tip stops where contact is first lost."""
+STROKE = 2e-3
+"""A tip that goes on to this stroke meets the part again, and d jumps and bends with mu_s."""
 SCATTERS = (0.015, 0.03, 0.057)
 PARTS = {
     "slides": (402, ("k_v_N_s_per_m", "mu_s")),
@@ -32,9 +34,10 @@ PARTS = {
     "forces": (50, ("k_N_per_m", "mu_s")),
     "distances": (50, ("k_v_N_s_per_m", "mu_s")),
     "both": (50, ("k_N_per_m", "b_N_s_per_m", "k_v_N_s_per_m", "mu_s")),
+    "both with a stroke": (50, ("k_N_per_m", "b_N_s_per_m", "k_v_N_s_per_m", "mu_s")),
 }
 """How many pushes each has, and what is free."""
-CASES = 200
+CASES, CASES_WITH_STROKE = 200, 30
 FIELDS = {"k_N_per_m": "k", "b_N_s_per_m": "b", "k_v_N_s_per_m": "k_v", "mu_s": "mu_s"}
 
 
@@ -48,9 +51,9 @@ def make_slides(seed: int, n: int, scatter: float) -> df.Pushes:
     return df.Pushes(**made.columns)
 
 
-def make_pushes(part: str, seed: int, n: int, scatter: float) -> df.Pushes:
+def make_pushes(part: str, truth: reference.Rig, seed: int, n: int, scatter: float) -> df.Pushes:
     """Pushes with errors of 0.5 N and 0.3 µm, of which F_p, d or both were measured."""
-    rig = replace(PUSHED, scatter=scatter)
+    rig = replace(truth, scatter=scatter)
     rng = np.random.default_rng([seed, round(1e4 * scatter), n, 1])
     columns = reference.measure(reference.make_pushes(rig, rng, n), rng)
     for name, only in (("sliding_distance", "forces"), ("peak_force", "distances")):
@@ -65,7 +68,8 @@ def run_case(part: str, scatter: float, case: int) -> dict:
     if part.endswith("slides"):
         truth, rig, data = TRUTH, GUESS, make_slides(case, n, scatter)
     else:
-        truth, data = PUSHED, make_pushes(part, case, n, scatter)
+        truth = replace(PUSHED, stroke=STROKE if part.endswith("stroke") else None)
+        data = make_pushes(part, truth, case, n, scatter)
         rig = df.spring_damper_rig(
             mass=truth.m, mu_s=truth.mu_s, k=truth.k, b=truth.b, k_v=truth.k_v, stroke=truth.stroke
         )
@@ -113,7 +117,8 @@ def main(words: Sequence[str] | None = None) -> int:
         for scatter in SCATTERS:
             name = f"{part} {scatter:g}".replace(" ", "_")
             one = partial(run_case, part, scatter)
-            runs.run(name, folder, CASES if asked.cases is None else asked.cases, one, shard)
+            most = CASES_WITH_STROKE if part.endswith("stroke") else CASES
+            runs.run(name, folder, most if asked.cases is None else asked.cases, one, shard)
     for part in PARTS:
         for scatter in SCATTERS:
             found[part, scatter] = runs.load(folder, f"{part} {scatter:g}".replace(" ", "_"))

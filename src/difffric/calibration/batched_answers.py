@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from difffric.compute import pytrees
 from difffric.compute.xla_options import compile_soon
-from difffric.estimation.descent import Model, goes_in_columns, pose_problem
+from difffric.estimation.descent import Model, pose_problem
 from difffric.estimation.following.respond_in_columns import respond_in_columns
 from difffric.estimation.mixed_model import Problem
 from difffric.estimation.stacked_data import FitData
+from difffric.simulation.columns import serves
 from difffric.timings import count_followed
 
 BATCH = 256
@@ -48,9 +49,10 @@ def compute_answers(model: Model, data: FitData, thetas: NDArray, s_etas: NDArra
     """The model's (F_p, d), (batch, n, 2), at shared coordinates (batch, free) and at each push's
     own log mu_s beyond the shared one (batch, n).
 
-    The points go through the compiled program `BATCH` at a time, or by NumPy all at once.
+    They are followed by NumPy, as fast here as a compiled program, all points at once; where that
+    does not serve, the points go through the compiled program `BATCH` at a time.
     """
-    if goes_in_columns(model, data):
+    if serves(model.rig, model.integrator):
         layout, n = model.layout, data.n
         c = layout.fixed + np.einsum("nkp,bp->bnk", layout.selection, thetas)
         c[..., 0] += s_etas

@@ -35,8 +35,8 @@ _OFF, _NARROWER, _WIDER = 1.0, 0.4, 2.5
 so much narrower or wider at most."""
 _EDGE = 5.0
 """A mean that is off by more than so many standard deviations is cut short by the last point."""
-_ROUNDS, _REFINEMENTS = 12, 12
-"""How often points are laid anew, and how often pieces are halved, at most."""
+_ROUNDS, _REFINEMENTS = 12, 4
+"""How often points are laid anew, and how often pieces are cut, at most."""
 _SIMILAR = 0.3
 """Points serve for other variances while the logarithms of these change by less than this."""
 _ROUGH = 2e-3
@@ -45,8 +45,9 @@ _JUMP, _SHORT, _LIKELY = 0.5, 0.1, 0.02
 """Residuals jump where they differ by more than the first along less than the second of a standard
 deviation of the push's mu_s, and it matters where the density beside, in units of that, is more
 than the third."""
-_HALVED = 6
-"""Pieces of a push that are halved at a time."""
+_CUT, _PARTS = 6, 8
+"""Pieces of a push that are cut at a time, and into how many: a jump is found in few rounds, each
+of which costs nearly the same however many points it has."""
 
 
 @dataclass(frozen=True)
@@ -198,11 +199,11 @@ class MarginalLikelihood:
                 return
             which, rough = which[index], rough[:, index]
             grid, answers, _ = _pick(grid, answers, found, index)
-            worst = np.argsort(-rough, axis=0)[:_HALVED]
-            middle = 0.5 * (grid[:-1] + grid[1:])
-            middle = np.take_along_axis(middle, worst, axis=0)
-            more = self.answerer.answer(theta, middle, which)
-            grid = np.concatenate([grid, middle])
+            worst = np.argsort(-rough, axis=0)[:_CUT]
+            left, right = (np.take_along_axis(x, worst, axis=0) for x in (grid[:-1], grid[1:]))
+            inside = [left + (right - left) * k / _PARTS for k in range(1, _PARTS)]
+            more = self.answerer.answer(theta, np.concatenate(inside), which)
+            grid = np.concatenate([grid, *inside])
             order = np.argsort(grid, axis=0, kind="stable")
             grid = np.take_along_axis(grid, order, axis=0)
             r, J = (
