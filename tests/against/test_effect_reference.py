@@ -79,12 +79,48 @@ def test_effects_that_are_another_plain_push():
         ({"friction_drift.drift": 0.2, "friction_drift.place": 0.5}, {"mu_s": 0.16 * 1.1}),
         ({"pusher_speed.factor": 1.1}, {"v": 0.033}),
         ({"initial_gap.gap_m": 2e-4}, {"stroke": 1e-3}),
+        ({"pusher_duration.duration_s": 0.03}, {"stroke": 0.9e-3}),
+        (
+            {"pusher_duration.duration_s": 0.03, "pusher_speed.factor": 1.1},
+            {"v": 0.033, "stroke": 0.99e-3},
+        ),
+        ({"pusher_duration.duration_s": 0.05}, {}),  # the stroke is over before
         (
             {"static_dwell.amplitude": 0.03, "static_dwell.rest_s": 100.0},
             {"mu_s": 0.16 * dwell, "ratio": 0.75 / dwell},
         ),
     ):
         same(push(effect, **RIG), exact.push(**(RIG | changed), arithmetic=exact.FLOAT))
+
+
+def test_with_an_infinite_stroke_the_duration_alone_stops_the_tip():
+    slow = RIG | {"v": 0.012, "b": 200.0}
+    timed = push({"pusher_duration.duration_s": 0.2}, **(slow | {"stroke": None}))
+    same(timed, exact.push(**(slow | {"stroke": 2.4e-3}), arithmetic=exact.FLOAT))
+    assert timed.contacts > 1
+    short = push({"pusher_duration.duration_s": 1e-3}, **(RIG | {"v": 0.01, "stroke": None}))
+    assert (short.regime, short.reason) == ("no_motion", "rests in contact")
+    assert short.peak_force == pytest.approx(6e5 * 1e-5 + 900 * 0.01, rel=1e-13)
+
+
+def test_a_latch_takes_the_first_fall_of_the_force():
+    rig = {ARGUMENTS[name]: x for name, x in (RIG | {"v": 0.012, "b": 200.0}).items()}
+    plain, times = effects.push(rig), np.linspace(0, 0.3, 30001)
+    force, x = effects.traces(rig, times)
+    assert plain.contacts > 2
+    distances = []
+    for level in (1.0, 5.0, 15.0, 1e6):
+        latched = effects.push(rig | {"release_latch.threshold_N": level})
+        assert (latched.peak_force, latched.contacts) == (plain.peak_force, plain.contacts)
+        distances.append(latched.sliding_distance)
+        falls = np.flatnonzero((force[:-1] >= level) & (force[1:] < level))
+        if len(falls):
+            i = falls[0]
+            share = (force[i] - level) / (force[i] - force[i + 1])
+            left = x[i] + share * (x[i + 1] - x[i])
+            assert latched.sliding_distance == pytest.approx(x[-1] - left, abs=1e-8)
+    assert 2 * plain.sliding_distance < distances[0] < distances[1] < distances[2]
+    assert distances[3] == plain.sliding_distance
 
 
 def test_sensors_only_change_the_readings():
@@ -118,6 +154,28 @@ def test_hardening_keeps_energy(n):
     assert answer.sliding_distance == pytest.approx(m * released**2 / 2 / kinetic, rel=1e-11)
 
 
+@pytest.mark.parametrize("b_r", [60.0, 3000.0])
+def test_a_damper_on_rebound_alone_lets_go_where_the_contact_would_pull(b_r):
+    """Without any other damping: a free oscillation to the deepest compression, then a damped one
+    about the same point, in closed form."""
+    m, k, v, g = 14.0, 6e5, 0.03, GRAVITY
+    rest, omega, c = 0.12 * m * g / k, math.sqrt(k / m), b_r / 2 / m
+    deep = math.hypot(0.04 * m * g / k, v / omega)
+    turn = math.sqrt(omega**2 - c**2)
+
+    def z(t):
+        return rest + deep * math.exp(-c * t) * (math.cos(turn * t) + c / turn * math.sin(turn * t))
+
+    def w(t):
+        return -deep * math.exp(-c * t) * omega**2 / turn * math.sin(turn * t)
+
+    t = brentq(lambda t: k * z(t) + b_r * w(t), 0, math.pi / 2 / turn + 3e-3, xtol=1e-18)
+    rig = {"m": m, "mu_s": 0.16, "ratio": 0.75, "k_v": 0.0, "k": k, "b": 0.0, "v": v}
+    answer = push({"rebound_damping.b_N_s_per_m": b_r}, **rig)
+    assert answer.peak_force == pytest.approx(k * (rest + deep), rel=1e-12)
+    assert answer.sliding_distance == pytest.approx((v - w(t)) ** 2 / 2 / (0.12 * g), rel=1e-11)
+
+
 def test_the_contact_works_as_much_as_friction_takes():
     """From rest to rest, with most laws at once: the integrals of both forces over x agree."""
     effect = {
@@ -131,7 +189,7 @@ def test_the_contact_works_as_much_as_friction_takes():
         "tilt.alpha_rad": 0.01,
         "normal_force.extra_N": 10.0,
         "contact_hardening.exponent": 1.3,
-        "rebound_damping.share": 0.4,
+        "rebound_damping.b_N_s_per_m": 360.0,
         "pusher_lag.tau_s": 1e-3,
         "pusher_ripple.amplitude": 0.05,
         "pusher_ripple.period_m": 7e-4,

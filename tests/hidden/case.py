@@ -19,7 +19,7 @@ from tests.reference.effect_parameters import NULLS
 MM_MIN = 1e-3 / 60
 SPEEDS_MM_MIN = (500, 500, 800, 800, 1000, 1000, 1500, 2000, 2500, 3000, 3500, 4000, 4500, 5000)
 RECORDINGS, TABLE = "recordings", "table"
-TABLE_ONLY = ("sample_clipping", "release_threshold")
+TABLE_ONLY = ("sample_clipping", "release_threshold", "release_latch")
 """effects of how a table is read off: recordings do not have them"""
 RECORDINGS_ONLY = ("probe_backlash",)
 """what a difference of two late positions does not have"""
@@ -27,9 +27,11 @@ COMPONENTS = {
     **dict.fromkeys(tuple(NULLS)[:10], "friction"),
     **dict.fromkeys(("contact_hardening", "rebound_damping", "initial_gap"), "contact"),
     **dict.fromkeys(("pusher_ramp", "pusher_lag", "pusher_ripple", "pusher_speed"), "pusher"),
+    "pusher_duration": "pusher",
     **dict.fromkeys(("force_gain", "force_offset", "force_lowpass"), "force_sensor"),
     **dict.fromkeys(("force_highpass", "force_saturation", "sample_clipping"), "force_sensor"),
-    **dict.fromkeys(("probe_scale", "release_threshold", "channel_skew"), "probe"),
+    **dict.fromkeys(("probe_scale", "release_threshold", "release_latch"), "probe"),
+    "channel_skew": "probe",
 }
 assert set(COMPONENTS) == set(NULLS)
 

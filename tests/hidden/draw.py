@@ -32,6 +32,8 @@ TINY = 0.002
 """the largest relative change of F_p and d by a nuisance"""
 NO_NUISANCE = ("presliding",)
 """bristles have no small size: they replace the stuck mode"""
+ONE_OF = ("release_threshold", "release_latch")
+"""never at once: a latch leaves nothing for the threshold to say"""
 
 
 def random_rig(rng: np.random.Generator) -> tuple[dict[str, float], float, float]:
@@ -162,9 +164,10 @@ def with_nuisances(case: Case, rng: np.random.Generator, share: float = TINY) ->
     One that changes neither at any size, as a delay that is hardly seen, is as large as drawn.
     """
     plain, found = case.plain(), {}
+    taken = ONE_OF if set(ONE_OF) & set(case.effects) else (ONE_OF[case.seed % 2],)
     for name in EFFECTS:
         of_tables = name in TABLE_ONLY and case.kind != TABLE
-        if name in case.effects or name in NO_NUISANCE or of_tables:
+        if name in case.effects or name in (*NO_NUISANCE, *taken) or of_tables:
             continue
         one = plain.with_effect(name, values(case, name, rng))
         if scaling.largest_change(one) > share:

@@ -17,15 +17,17 @@ FIRST = 0.01
 """of the size drawn: where a strength is looked for first"""
 GROW = 2.0
 """the factor in the search for a bracket"""
-MOST_CUTS, CLOSE, NARROW = 40, 0.004, 0.003
-"""cuts of a bracket at most; the relative distance that is near enough, and its last width"""
+MOST_CUTS, CLOSE = 40, 0.004
+"""cuts of a bracket at most; the relative distance that is near enough"""
 ACCEPTED = 0.1
 """relative deviation of s from what was asked"""
 LEAST_APART = 0.3
 """of two effects' s, what is left of one beside the other: below, they count as inseparable"""
 
 
-def _factor(size_at, wanted: float, least: float, most: float, first: float = 1.0) -> float:
+def _factor(
+    size_at, wanted: float, least: float, most: float, first: float = 1.0, *, narrow: float
+) -> float:
     """The factor within the limits for which size_at is as wanted; log over log."""
     low = high = min(max(first, least), most)
     at_low = at_high = size_at(low)
@@ -50,7 +52,7 @@ def _factor(size_at, wanted: float, least: float, most: float, first: float = 1.
             low, at_low = factor, found
         else:
             high, at_high = factor, found
-        if high / low < 1 + NARROW:  # s jumps there: a sample came or went beside a jump
+        if high / low < 1 + narrow:  # s jumps there: a sample came or went beside a jump
             break
     for factor, found in ((low, at_low), (high, at_high)):
         if abs(found / wanted - 1) <= ACCEPTED:
@@ -81,7 +83,7 @@ def with_strength(case: Case, s: float) -> Case:
 
 
 def _to_strength(case: Case, name: str, s: float, start: Base) -> Case:
-    (least, most), alone = case.factors(name), case.only(name)
+    (least, most), alone, narrow = case.factors(name), case.only(name), amplitude(name).narrow
     seen: dict[float, np.ndarray] = {}
 
     def size_at(factor):
@@ -96,7 +98,7 @@ def _to_strength(case: Case, name: str, s: float, start: Base) -> Case:
     if amplitude(name).least == 0 or (smallest := size_at(least)) <= s:
         first = max(least, min(most, FIRST))
         first = max(least, min(most, 1.0, first * s / max(size_at(first), 1e-3 * s)))
-        return case.scaled(name, _factor(size_at, s, least, most, first))
+        return case.scaled(name, _factor(size_at, s, least, most, first, narrow=narrow))
     if len(case.hidden) > 1 or smallest > LOUDEST * s:
         raise Invisible(f"{name} is more visible than wanted at any size")
     small = case.scaled(name, least)
@@ -104,7 +106,8 @@ def _to_strength(case: Case, name: str, s: float, start: Base) -> Case:
     def weakness_at(louder):
         return 1 / settle(with_noise(small, louder), start).s
 
-    return with_noise(small, _factor(weakness_at, 1 / s, 1.0, LOUDEST * (1 + CLOSE)))
+    louder = _factor(weakness_at, 1 / s, 1.0, LOUDEST * (1 + CLOSE), narrow=narrow)
+    return with_noise(small, louder)
 
 
 def with_noise(case: Case, factor: float) -> Case:
@@ -139,7 +142,8 @@ def with_change(case: Case, name: str, share: float, change=typical_change) -> C
     def size_at(factor):
         return change(case.only(name).scaled(name, factor))
 
-    return case.scaled(name, _factor(size_at, share, *case.factors(name)))
+    narrow = amplitude(name).narrow
+    return case.scaled(name, _factor(size_at, share, *case.factors(name), narrow=narrow))
 
 
 def with_misfit(case: Case, name: str, times: float) -> Case:
@@ -157,7 +161,8 @@ def with_misfit(case: Case, name: str, times: float) -> Case:
             moved.append((one.position[:n] - at.position[:n]) / case.noise.position)
         return math.sqrt(np.mean(np.concatenate(moved) ** 2))
 
-    return case.scaled(name, _factor(size_at, times, *case.factors(name)))
+    narrow = amplitude(name).narrow
+    return case.scaled(name, _factor(size_at, times, *case.factors(name), narrow=narrow))
 
 
 def visible(case: Case, name: str) -> bool:

@@ -25,6 +25,8 @@ class Amplitude:
     """whether the effect grows as the key falls: the size is its inverse"""
     least: float = 0.0
     """no smaller: below, it has no meaning, or cannot be computed"""
+    narrow: float = 0.003
+    """relative width of a bracket at which the search for a size ends"""
 
     def size(self, values: Mapping[str, float]) -> float:
         value = values[self.key]
@@ -58,12 +60,13 @@ AMPLITUDES = {
     "tilt": Amplitude("alpha_rad", 0.04),
     "normal_force": Amplitude("extra_N", 0.8 * 5 * GRAVITY),
     "contact_hardening": Amplitude("exponent", 1.0, null=1.0),
-    "rebound_damping": Amplitude("share", 1.0),
+    "rebound_damping": Amplitude("b_N_s_per_m", 20e3),
     "initial_gap": Amplitude("gap_m", 1e-3),
     "pusher_ramp": Amplitude("acceleration_m_per_s2", 1.0, inverse=True),
     "pusher_lag": Amplitude("tau_s", 20e-3, least=5e-6),
     "pusher_ripple": Amplitude("amplitude", 0.8),
     "pusher_speed": Amplitude("factor", 0.5, null=1.0),
+    "pusher_duration": Amplitude("duration_s", 1 / 1e-3, inverse=True, least=1 / 10, narrow=1e-6),
     "force_gain": Amplitude("factor", 0.5, null=1.0),
     "force_offset": Amplitude("offset_N", 100.0),
     "force_lowpass": Amplitude("tau_s", 20e-3, least=5e-6),
@@ -72,6 +75,7 @@ AMPLITUDES = {
     "sample_clipping": Amplitude("rate_Hz", 1e-2, inverse=True),
     "probe_scale": Amplitude("factor", 0.5, null=1.0),
     "release_threshold": Amplitude("threshold_N", 100.0),
+    "release_latch": Amplitude("threshold_N", 1 / 0.1, inverse=True),
     "channel_skew": Amplitude("delay_s", 10e-3),
 }
 
@@ -128,7 +132,7 @@ def draw(
             "extra_N": float(rng.choice([-1, 1])) * min(around(rng, 10.0), 0.3 * weight)
         },
         "contact_hardening": lambda: {"exponent": 1 + around(rng, 0.2)},
-        "rebound_damping": lambda: {"share": around(rng, 0.3)},
+        "rebound_damping": lambda: {"b_N_s_per_m": around(rng, 500.0)},
         "initial_gap": lambda: {"gap_m": around(rng, 5e-5)},
         "pusher_ramp": lambda: {"acceleration_m_per_s2": around(rng, 10.0)},
         "pusher_lag": lambda: {"tau_s": around(rng, 1e-3)},
@@ -138,6 +142,7 @@ def draw(
             "phase_rad": phase,
         },
         "pusher_speed": lambda: {"factor": 1 + signed(rng, 0.02)},
+        "pusher_duration": lambda: {"duration_s": around(rng, 0.03)},
         "force_gain": lambda: {"factor": 1 + signed(rng, 0.02)},
         "force_offset": lambda: {"offset_N": signed(rng, 1.0)},
         "force_lowpass": lambda: {"tau_s": around(rng, 1e-4)},
@@ -146,6 +151,7 @@ def draw(
         "sample_clipping": lambda: {"rate_Hz": around(rng, 2000.0)},
         "probe_scale": lambda: {"factor": 1 + signed(rng, 0.01)},
         "release_threshold": lambda: {"threshold_N": around(rng, 5.0)},
+        "release_latch": lambda: {"threshold_N": around(rng, 5.0)},
         "channel_skew": lambda: {"delay_s": around(rng, 1e-4)},
     }
     return {key: float(f"{value:.6g}") for key, value in draws[effect]().items()}

@@ -26,16 +26,28 @@ from .effect_laws import (
     tip_speed,
     travel,
 )
-from .effect_parameters import INF, LAG, PATCH, PATCH_START, SHARE, SIGMA_0, SPEED, STROKE, B
+from .effect_parameters import (
+    DURATION,
+    INF,
+    LAG,
+    PATCH,
+    PATCH_START,
+    REBOUND,
+    SIGMA_0,
+    SPEED,
+    STROKE,
+    B,
+)
+from .effect_parameters import LATCH as LATCH_N
 from .effect_parameters import THRESHOLD as THRESHOLD_N
 from .jit import law
 from .runge_kutta import WIDTH, advance
 
 # The events, and their guards: positive within the mode, zero where they happen.
 TURNED, STUCK, MET, STOP, PATCHED, SLIPPED, REVERSED = range(7)
-GUARDS, RAMPED = 7, 7
+GUARDS, RAMPED, EXPIRED = 7, 7, 8  # the last two come at a known time
 # Other quantities whose roots are wanted; from SLOPE on the slopes of the guards.
-READING_RATE, OVER_THRESHOLD, FORCE_RATE, SLOPE = 7, 8, 9, 10
+READING_RATE, OVER_THRESHOLD, OVER_LATCH, FORCE_RATE, SLOPE = range(7, 12)
 DEADBAND = 1e-13  # of w / v, or in steady sliding rounding alone would turn the part
 # The tally: contacts, sticks, rebounds, a number for the order of events, and their count;
 # whether the last loss of contact came before the stop.
@@ -51,11 +63,11 @@ def guard(which, t, s, p, mode):
     if which == STUCK and mode[SLIDING] == 1 and not bristles:
         return s[U]
     if which == MET and mode[CONTACT] == 0:
-        if p[SHARE] == 0 or s[Z] <= 0:
+        if p[REBOUND] == 0 or s[Z] <= 0:
             return -s[Z]
-        return -spring(s[Z], p) - p[SHARE] * p[B] * min(tip_speed(t, s, p, mode) - s[U], 0.0)
+        return -spring(s[Z], p) - p[REBOUND] * min(tip_speed(t, s, p, mode) - s[U], 0.0)
     if which == MET and mode[SLIDING] == 1 and mode[APPROACH] == 0:
-        return s[Z] if p[SHARE] == 0 else contact_force(t, s, p, mode)
+        return s[Z] if p[REBOUND] == 0 else contact_force(t, s, p, mode)
     if which == STOP and mode[COMMAND] != STOPPED and p[STROKE] < INF:
         return p[STROKE] - travel(s, p) - p[LAG] * drive(t, s, p, mode)
     if which == PATCHED and p[PATCH] != 0:
@@ -75,10 +87,10 @@ def guard_slope(which, t, s, p, mode):
         return rate if mode[APPROACH] == 1 else -rate
     if which == STUCK and mode[SLIDING] == 1 and p[SIGMA_0] == 0:
         return acceleration(t, s, p, mode)
-    if which == MET and mode[CONTACT] == 0 and (p[SHARE] == 0 or s[Z] <= 0):
+    if which == MET and mode[CONTACT] == 0 and (p[REBOUND] == 0 or s[Z] <= 0):
         return s[U] - tip_speed(t, s, p, mode)
     if which == MET and mode[CONTACT] == 1 and mode[SLIDING] == 1 and mode[APPROACH] == 0:
-        if p[SHARE] == 0:
+        if p[REBOUND] == 0:
             return tip_speed(t, s, p, mode) - s[U]
         return contact_force_rate(t, s, p, mode)
     if which == SLIPPED and mode[CONTACT] == 1 and mode[SLIDING] == 0:
@@ -96,6 +108,8 @@ def quantity(which, t, s, p, mode):
         return reading_rate(t, s, p, mode)
     if which == OVER_THRESHOLD:
         return contact_force(t, s, p, mode) - p[THRESHOLD_N]
+    if which == OVER_LATCH:
+        return contact_force(t, s, p, mode) - p[LATCH_N]
     if which == FORCE_RATE:
         return contact_force_rate(t, s, p, mode)
     return guard_slope(which - SLOPE, t, s, p, mode)
@@ -193,11 +207,11 @@ def touch(t, s, p, mode, tally):
 @law
 def lose(t, s, p, mode, tally, loss):
     mode[CONTACT] = 0
-    if p[SHARE] == 0:
+    if p[REBOUND] == 0:
         s[Z] = 0.0
     tally[LOST_MOVING] = 1 if mode[COMMAND] != STOPPED else 0
     loss[0], loss[1] = t, s[X]
-    if p[STROKE] == INF:
+    if p[STROKE] == INF and p[DURATION] == INF:
         mode[COMMAND] = STOPPED
 
 
@@ -207,7 +221,7 @@ def stop(t, s, p, mode, tally, loss):
     if mode[CONTACT] == 1 and mode[SLIDING] == 1:
         if tip_speed(t, s, p, mode) < s[U]:
             mode[APPROACH] = 0
-        if contact_force(t, s, p, mode) <= 0:  # a share of the damper pulls off at once
+        if contact_force(t, s, p, mode) <= 0:  # the damper on rebound pulls off at once
             lose(t, s, p, mode, tally, loss)
 
 
@@ -228,7 +242,7 @@ def happen(event, t, s, p, mode, tally, loss):
         lose(t, s, p, mode, tally, loss)
     elif event == MET:
         touch(t, s, p, mode, tally)
-    elif event == STOP:
+    elif event in (STOP, EXPIRED):
         stop(t, s, p, mode, tally, loss)
     elif event == PATCHED:
         mode[BEYOND] = 1 - mode[BEYOND]

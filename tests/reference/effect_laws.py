@@ -28,10 +28,10 @@ from .effect_parameters import (
     MASS,
     PATCH,
     PERIOD,
+    REBOUND,
     RESTED,
     RIPPLE,
     RIPPLE_PHASE,
-    SHARE,
     SIGMA_0,
     SIGMA_1,
     SPEED,
@@ -159,7 +159,7 @@ def stiffness(z, p):
 
 @law
 def damping(p, mode):
-    return p[B] if mode[APPROACH] == 1 else p[SHARE] * p[B]
+    return p[B] if mode[APPROACH] == 1 else p[REBOUND]
 
 
 @law

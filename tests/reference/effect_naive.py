@@ -27,8 +27,8 @@ def rates(c, touching, sliding, going, t, y):
     """Of [part, its speed, tip's travel, its drive, lowpass, highpass, bristles]; and the force."""
     (m, mu_s, ratio, k_v, k, b, velocity, _) = c[:8]
     (v_s, delta, s0, s1, drag, wave, length, angle, patch, start, drift, place) = c[8:20]
-    (_, _, _, alpha, extra, n, share, gap, steep, lag, ripple, period, phase, times) = c[20:34]
-    lowpass, highpass = c[36], c[37]
+    (_, _, _, alpha, extra, n, b_r, gap, steep, lag, ripple, period, phase, times) = c[20:34]
+    lowpass, highpass = c[37], c[38]
     x, u, far, drive, slow, mean, q = y
     v = times * velocity
     wanted = (min(steep * t, v) if steep < math.inf else v) if going else 0.0
@@ -38,7 +38,7 @@ def rates(c, touching, sliding, going, t, y):
     z, w = far - gap - x, tip - u
     force = 0.0
     if touching:
-        force = k * 1e-4 * (max(z, 0.0) / 1e-4) ** n + b * w * (1.0 if w >= 0 else share)
+        force = k * 1e-4 * (max(z, 0.0) / 1e-4) ** n + w * (b if w >= 0 else b_r)
         force = max(force, 0.0)
     level = m * 9.80665 * math.cos(alpha) + extra
     level *= 1 + wave * math.sin(2 * math.pi * x / length + angle)
@@ -82,30 +82,31 @@ def added(y, h, k):
 @jit
 def push(c, step, path):
     """F_p, d, contacts; d is nan where there is none. `path` is room for x at every step."""
-    stroke, s0, lag, gap = c[7], c[10], c[29], c[27]
+    stroke, s0, lag, gap, duration, latch = c[7], c[10], c[29], c[27], c[34], c[43]
     dwell = 1 + c[20] * math.log(1 + c[22] / c[21])
     y = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     if s0 > 0:
         y = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -c[0] * 9.80665 * math.sin(c[23]) / s0)
     touching, sliding, going = gap == 0, s0 > 0, True
     contacts, first = int(touching), s0 == 0
-    peak, before, lost, sample, t = -1e300, 0.0, 0, 0, 0.0
+    peak, before, lost, latched, sample, t = -1e300, 0.0, 0, -1, 0, 0.0
     for i in range(path.size):
         t = i * step
         path[i] = y[0]
         # The tip's command, contact and friction, as they are from now on
         drive = y[3] if lag > 0 else rates(c, touching, sliding, going, t, y)[0][2]
-        if going and y[2] + (lag * drive if lag > 0 else 0.0) >= stroke:
+        far = y[2] + (lag * drive if lag > 0 else 0.0)
+        if going and (far >= stroke or t >= duration):
             going = False
         k1, force, shown, holds, along = rates(c, touching, sliding, going, t, y)
         z, w = y[2] - gap - y[0], k1[2] - y[1]
         if touching and force <= 0 and w < 0:
             touching = False
-            going = going and stroke < math.inf
-            if c[41] == 0:
+            going = going and (stroke < math.inf or duration < math.inf)
+            if c[42] == 0:
                 lost = i
         elif not touching:
-            pressed = c[4] * 1e-4 * (max(z, 0.0) / 1e-4) ** c[25] + c[26] * c[5] * min(w, 0.0)
+            pressed = c[4] * 1e-4 * (max(z, 0.0) / 1e-4) ** c[25] + c[26] * min(w, 0.0)
             if (z >= 0 and w >= 0) or (z > 0 and c[26] > 0 and pressed > 0):
                 touching = True
                 contacts += 1
@@ -113,10 +114,12 @@ def push(c, step, path):
         if not sliding and touching and force >= holds * (dwell if first else 1.0) + along:
             sliding, first = True, False
             k1, force, shown, holds, along = rates(c, touching, sliding, going, t, y)
-        if before > c[41] >= force and c[41] > 0:
+        if before > c[42] >= force and c[42] > 0:
             lost = i
+        if before >= latch > force and latched < 0:
+            latched = i
         before = force
-        if c[39] == math.inf or t + 0.5 * step >= sample / c[39]:
+        if c[40] == math.inf or t + 0.5 * step >= sample / c[40]:
             peak, sample = max(peak, shown), sample + 1
         # Rest for good
         still = not going and drive < 1e-9 * c[6]
@@ -138,14 +141,15 @@ def push(c, step, path):
             y = (y[0], 0.0, y[2], y[3], y[4], y[5], y[6])
     else:
         return math.nan, math.nan, -1
-    peak = min(max(c[34] * peak + c[35], -c[38]), c[38])
+    peak = min(max(c[35] * peak + c[36], -c[39]), c[39])
+    lost = latched if latched >= 0 else lost
     distance = math.nan
     if not touching:
-        late = lost - c[42] / step
+        late = lost - c[44] / step
         low = math.floor(late)
         share = late - low
         where = path[low] + share * (path[low + 1] - path[low]) if low >= 0 else 0.0
-        distance = c[40] * (y[0] - where)
+        distance = c[41] * (y[0] - where)
     return peak, distance, contacts
 
 

@@ -35,12 +35,13 @@ NULLS = {  # effect -> its keys and their null values; friction_ratio is mu_k_ov
     "tilt": {"alpha_rad": 0.0},
     "normal_force": {"extra_N": 0.0},
     "contact_hardening": {"exponent": 1.0},
-    "rebound_damping": {"share": 0.0},
+    "rebound_damping": {"b_N_s_per_m": 0.0},
     "initial_gap": {"gap_m": 0.0},
     "pusher_ramp": {"acceleration_m_per_s2": INF},
     "pusher_lag": {"tau_s": 0.0},
     "pusher_ripple": {"amplitude": 0.0, "period_m": 1.0, "phase_rad": 0.0},
     "pusher_speed": {"factor": 1.0},
+    "pusher_duration": {"duration_s": INF},
     "force_gain": {"factor": 1.0},
     "force_offset": {"offset_N": 0.0},
     "force_lowpass": {"tau_s": 0.0},
@@ -49,6 +50,7 @@ NULLS = {  # effect -> its keys and their null values; friction_ratio is mu_k_ov
     "sample_clipping": {"rate_Hz": INF},
     "probe_scale": {"factor": 1.0},
     "release_threshold": {"threshold_N": 0.0},
+    "release_latch": {"threshold_N": INF},
     "channel_skew": {"delay_s": 0.0},
 }
 EFFECTS = tuple(NULLS)
@@ -60,13 +62,13 @@ FIXED = {"stribeck.delta", "static_dwell.tau_s"}  # keys that nobody varies
 (MASS, MU_S, RATIO, K_V, K, B, VELOCITY, STROKE) = range(8)
 V_S, DELTA, SIGMA_0, SIGMA_1, DRAG = range(8, 13)
 WAVE, WAVELENGTH, WAVE_PHASE, PATCH, PATCH_START, DRIFT, PLACE = range(13, 20)
-DWELL, DWELL_TAU, REST, TILT, EXTRA, EXPONENT, SHARE, GAP = range(20, 28)
-ACCELERATION, LAG, RIPPLE, PERIOD, RIPPLE_PHASE, SPEED_FACTOR = range(28, 34)
-GAIN, OFFSET, LOWPASS, HIGHPASS, LEVEL, RATE = range(34, 40)
-PROBE, THRESHOLD, DELAY = range(40, 43)
+DWELL, DWELL_TAU, REST, TILT, EXTRA, EXPONENT, REBOUND, GAP = range(20, 28)
+ACCELERATION, LAG, RIPPLE, PERIOD, RIPPLE_PHASE, SPEED_FACTOR, DURATION = range(28, 35)
+GAIN, OFFSET, LOWPASS, HIGHPASS, LEVEL, RATE = range(35, 41)
+PROBE, THRESHOLD, LATCH, DELAY = range(41, 45)
 # What follows from them: m g sin(alpha), F_N, mu_s and mu_k of this push, v, dwell's factor, scales
-ALONG, LOAD, STATIC, KINETIC, SPEED, RESTED, Z_SCALE, F_SCALE = range(43, 51)
-SIZE = 51
+ALONG, LOAD, STATIC, KINETIC, SPEED, RESTED, Z_SCALE, F_SCALE = range(45, 53)
+SIZE = 53
 assert len(NAMES) == ALONG
 
 

@@ -26,10 +26,12 @@ import numpy as np
 from .effect_events import (
     CONTACTS,
     EVENTS,
+    EXPIRED,
     FORCE_RATE,
     GUARDS,
     LOST_MOVING,
     ORDER,
+    OVER_LATCH,
     OVER_THRESHOLD,
     RAMPED,
     READING_RATE,
@@ -64,12 +66,14 @@ from .effect_parameters import (
     ACCELERATION,
     ALONG,
     DELAY,
+    DURATION,
     EXPONENT,
     GAIN,
     GAP,
     INF,
     KINETIC,
     LAG,
+    LATCH,
     LEVEL,
     LOAD,
     MASS,
@@ -98,8 +102,8 @@ REASONS = ("", "never released", "too many contacts", "too many steps", "no loss
 REGIMES = ("no_motion", "pushed_to_rest", "released_by_rebound", "released_at_stop")
 # Columns of a run's numbers
 PEAK, X_REST, X_LOSS, T_LOSS, T_REST = range(5)
-# and of its counts, behind the tally of `effect_events`
-REGIME, REASON, PEAK_CONTACT, PEAK_EVENTS, PEAK_LATE, PEAK_SAMPLE, STEPS = range(6, 13)
+# and of its counts, behind the tally of `effect_events`; LATCHED says which fall the latch took
+REGIME, REASON, PEAK_CONTACT, PEAK_EVENTS, PEAK_LATE, PEAK_SAMPLE, STEPS, LATCHED = range(6, 14)
 
 
 @law
@@ -159,23 +163,28 @@ def watch_peak(t, s, h, s_end, p, mode, stages, tmp, numbers, counts, sample):
 
 
 @law
-def watch_threshold(t, s, h, s_end, p, mode, stages, tmp, loss):
-    """The contact force's last fall through the threshold, within a step."""
+def watch_fall(which, level, before, t, s, h, s_end, p, mode, stages, tmp, fall):
+    """The contact force's last fall through a level, in a jump at a step's start or within it.
+
+    `before` is the force at the end of the step before, `which` the quantity that is zero there.
+    """
     start, end = contact_force(t, s, p, mode), contact_force(t + h, s_end, p, mode)
-    if end > p[THRESHOLD]:
+    if before > level and start <= level:
+        fall[0], fall[1] = t, s[X]
+    if end > level:
         return
     lo = 0.0
-    if start <= p[THRESHOLD]:
+    if start <= level:
         rising = contact_force_rate(t, s, p, mode) > 0
         if not (rising and contact_force_rate(t + h, s_end, p, mode) < 0):
             return
         lo = root(FORCE_RATE, t, s, 0.0, h, p, mode, stages, tmp)
         advance(t, s, lo, p, mode, stages, tmp)
-        if contact_force(t + lo, tmp, p, mode) <= p[THRESHOLD]:
+        if contact_force(t + lo, tmp, p, mode) <= level:
             return
-    at = root(OVER_THRESHOLD, t, s, lo, h, p, mode, stages, tmp)
+    at = root(which, t, s, lo, h, p, mode, stages, tmp)
     advance(t, s, at, p, mode, stages, tmp)
-    loss[0], loss[1] = t + at, tmp[X]
+    fall[0], fall[1] = t + at, tmp[X]
 
 
 @law
@@ -191,9 +200,10 @@ def integrate(p, times, forces, positions):
     """The push: its numbers and counts; the filters' output and x at the times, ascending."""
     numbers = np.zeros(5)
     numbers[PEAK] = -INF
-    counts = np.zeros(13, np.int64)
+    counts = np.zeros(14, np.int64)
     s, mode = initial(p)
-    s_end, tmp, loss, fallen = np.zeros(7), np.zeros(7), np.zeros(2), np.full(2, -1.0)
+    s_end, tmp, loss = np.zeros(7), np.zeros(7), np.zeros(2)
+    fallen, latched = np.full(2, -1.0), np.full(2, -1.0)
     stages = np.zeros((STAGES, 7))
     scale = scales(p)
     t, asked, sample, over, moved, force_before = 0.0, 0, 0, False, False, 0.0
@@ -217,15 +227,20 @@ def integrate(p, times, forces, positions):
             counts[REASON] = 2
         elif counts[STEPS] > MAX_STEPS or counts[EVENTS] > MAX_EVENTS:
             counts[REASON] = 3
-        elif p[STROKE] == INF and mode[COMMAND] != STOPPED and t > patience:
+        elif min(p[STROKE], p[DURATION]) == INF and mode[COMMAND] != STOPPED and t > patience:
             counts[REASON] = 1
         if counts[REASON] > 0:
             break
+        until, due = (t_ramp, RAMPED) if mode[COMMAND] == RAMP else (INF, -1)
+        if mode[COMMAND] != STOPPED and p[DURATION] <= until:
+            until, due = p[DURATION], EXPIRED
+        if t >= until:  # another event, within rounding, came with it
+            happen(due, t, s, p, mode, counts, loss)
+            continue
 
         # One step, made small enough for its error and cut where an event ends the mode.
         h = min(h_try, SHARE_OF_PERIOD * fastest(s, p, mode))
-        if mode[COMMAND] == RAMP:
-            h = min(h, t_ramp - t)
+        h = min(h, until - t)
         rates(t, s, p, mode, stages[0])
         while True:
             advance(t, s, h, p, mode, stages, s_end)
@@ -234,17 +249,22 @@ def integrate(p, times, forces, positions):
                 break
             h *= max(0.2, 0.9 * wrong**-0.125)
         h_try = h * min(4.0, 0.9 * max(wrong, 1e-10) ** -0.125)
-        event = RAMPED if mode[COMMAND] == RAMP and h == t_ramp - t else -1
+        event = due if h == until - t else -1
         for which in range(GUARDS):
             earlier = first_below(which, t, s, h, s_end, p, mode, stages, tmp)
             if earlier < INF:
                 h, event = earlier, which
                 advance(t, s, h, p, mode, stages, s_end)
 
-        force = contact_force(t, s, p, mode)
-        if force_before > p[THRESHOLD] and force <= p[THRESHOLD]:
-            fallen[0], fallen[1] = t, s[X]
-        watch_threshold(t, s, h, s_end, p, mode, stages, tmp, fallen)
+        if p[THRESHOLD] > 0:
+            level, which = p[THRESHOLD], OVER_THRESHOLD
+            watch_fall(which, level, force_before, t, s, h, s_end, p, mode, stages, tmp, fallen)
+        if p[LATCH] < INF and latched[0] < 0:
+            level, which = p[LATCH], OVER_LATCH
+            watch_fall(which, level, force_before, t, s, h, s_end, p, mode, stages, tmp, latched)
+            if latched[0] >= 0:
+                counts[LATCHED] = 1000 * counts[EVENTS] + counts[REBOUNDS] + 1
+                counts[LATCHED] *= -1 if latched[0] == t else 1
         force_before = contact_force(t + h, s_end, p, mode)
         if not over:
             sample = watch_peak(t, s, h, s_end, p, mode, stages, tmp, numbers, counts, sample)
@@ -254,7 +274,7 @@ def integrate(p, times, forces, positions):
             asked += 1
 
         moved = moved or mode[SLIDING] == 1
-        t = t_ramp if event == RAMPED else t + h
+        t = until if event >= RAMPED else t + h
         s[:] = s_end
         if event >= 0:
             happen(event, t, s, p, mode, counts, loss)
@@ -264,7 +284,9 @@ def integrate(p, times, forces, positions):
     else:
         counts[REGIME] = 2 if counts[LOST_MOVING] == 1 else 3
     numbers[T_LOSS], numbers[X_LOSS] = loss[0], loss[1]
-    if p[THRESHOLD] > 0:
+    if latched[0] >= 0:
+        numbers[T_LOSS], numbers[X_LOSS] = latched[0], latched[1]
+    elif p[THRESHOLD] > 0:
         numbers[T_LOSS], numbers[X_LOSS] = fallen[0], fallen[1]
         if fallen[0] < 0 and counts[REASON] == 0 and counts[REGIME] >= 2:
             counts[REASON] = 4
@@ -336,4 +358,4 @@ def traces(rig: dict, times) -> tuple[np.ndarray, np.ndarray]:
 def signature(counts, saturated) -> tuple:
     """Within one signature the answers are smooth functions of the parameters."""
     watched = (REGIME, REASON, CONTACTS, STICKS, ORDER, PEAK_CONTACT, PEAK_EVENTS, PEAK_SAMPLE)
-    return (*(int(counts[i]) for i in watched), bool(saturated))
+    return (*(int(counts[i]) for i in (*watched, LATCHED)), bool(saturated))

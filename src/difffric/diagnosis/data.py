@@ -29,7 +29,7 @@ from difffric.rig.rig import Rig
 from difffric.rig.scales import Scales
 from difffric.units import GRAVITY
 
-NOT_IN_RECORDINGS = ("sample_clipping", "release_threshold")
+NOT_IN_RECORDINGS = ("sample_clipping", "release_threshold", "release_latch")
 """Effects that only reduced numbers have."""
 IN_SLIDES = ("quadratic_drag", "stribeck", "friction_drift", "normal_force")
 """Effects that a free slide shows, whose place on the rails is not known."""

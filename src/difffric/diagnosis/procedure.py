@@ -200,7 +200,9 @@ class _CauseSearch:
 
     def _arrive(self, k: int) -> None:
         """Look for a better optimum of the model with what was added by now, while it is not at its
-        noise floor: what such a fit leaves would be taken for further effects."""
+        noise floor: what such a fit leaves would be taken for further effects, and those that were
+        added to a worse one may be needless."""
+        before = self.base
         for _ in range(_RESTARTS):
             if self.validation.is_at_floor(self.base):
                 break
@@ -209,6 +211,8 @@ class _CauseSearch:
             if better is None:
                 break
             self.base = better
+        if self.base is not before:
+            self.named, self.base = self._drop_needless(self.named, self.base, len(self.named))
 
     def _look_once_more(self, k: int) -> bool:
         """Look for one more cause in round k; whether another round may find another one."""
@@ -299,21 +303,24 @@ class _CauseSearch:
         """Add a cause to the model, drop those that it makes needless, and tell whether that
         gains on held-out pushes; where it does not, nothing is added."""
         new = ensemble_refits.refit(self.start.data.task, cause.best.fits, _ROUNDS)
-        named, new = self._drop_needless([*self.named, cause], new)
+        named, new = self._drop_needless([*self.named, cause], new, len(self.named))
         if not self.validation.is_better(new, self.base):
             return False
         self.named, self.base = named, new
         return True
 
-    def _drop_needless(self, named: list[NamedCause], base: Fits) -> tuple[list[NamedCause], Fits]:
-        """Drop the causes that later ones made needless, one after the other."""
-        for k in range(len(named) - 1):
+    def _drop_needless(
+        self, named: list[NamedCause], base: Fits, first: int
+    ) -> tuple[list[NamedCause], Fits]:
+        """Drop those of the `first` causes that the model `base` does not need, one after the
+        other, and say of the others what it would be without them."""
+        for k in range(first):
             effect = named[k].best.effect
             less = self._leave_out(base, effect)
             task = self.start.data.task
             drop = float(ensemble.criterion(task, less)[0] - ensemble.criterion(task, base)[0])
             if compute_p_value(effect, drop, len(self.start.data.looked_for)) > SIGNIFICANT:
-                return self._drop_needless(named[:k] + named[k + 1 :], less)
+                return self._drop_needless(named[:k] + named[k + 1 :], less, first - 1)
             named = [*named[:k], replace(named[k], without=less), *named[k + 1 :]]
         return named, base
 

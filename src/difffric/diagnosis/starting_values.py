@@ -60,7 +60,7 @@ def _grid_of(effect: str, s: Scales) -> Iterable[ArrayLike]:
         case "presliding":
             return [(x, 0.4 * np.sqrt(x * s.mass)) for x in (1e6, 3e6, 1e7, 3e7)]
         case "rebound_damping":
-            return [0.15, 0.5, 0.95]
+            return [x * np.sqrt(s.mass * s.peak / s.compression) for x in (0.06, 0.25, 0.8)]
         case "contact_hardening":
             return [1.08, 1.25, 1.5, 1.9]
         case "initial_gap":
@@ -71,6 +71,8 @@ def _grid_of(effect: str, s: Scales) -> Iterable[ArrayLike]:
             return s.fastest / np.array([3e-4, 2e-3, 1e-2, 4e-2])
         case "pusher_lag":
             return [1e-4, 5e-4, 2e-3, 8e-3]
+        case "pusher_duration":
+            return [x * s.travel / v for v in (s.slowest, s.fastest) for x in (0.3, 0.6, 0.9)]
         case "force_lowpass":
             return [3e-5, 2e-4, 1e-3, 4e-3]
         case "force_highpass":
@@ -87,6 +89,8 @@ def _grid_of(effect: str, s: Scales) -> Iterable[ArrayLike]:
             return [0.95, 0.99, 1.01, 1.05]
         case "release_threshold":
             return [x * s.peak for x in (0.01, 0.04, 0.12)]
+        case "release_latch":
+            return [x * s.peak for x in (0.005, 0.03, 0.1)]
         case "channel_skew":
             return [3e-5, 2e-4, 1e-3]
         case _:

@@ -115,27 +115,25 @@ class AbstractContactEffect(AbstractContact):
 
 
 class ReboundDamping(AbstractContactEffect):
-    """A share of the damper acts on rebound too: `k z + share b w` for w < 0, never below zero.
+    """A loss on rebound of its own: `k z + b w` for w < 0, never below zero.
 
-    What the law's damper does on approach is taken to be linear in w. 0 <= share <= 1; null: 0.
+    b >= 0 [N s/m], beside the damper on approach, which it may exceed; null: 0.
     """
 
     law: AbstractContact
-    share: Number = 0.0
+    b: Number = 0.0
 
     @property
     def damped(self) -> Truth:
-        return xp.asarray(self.share) > 0
+        return xp.asarray(self.b) > 0
 
     def rebound(self, z: Number, w: Number) -> Number:
-        damper = self.law.approach(z, w) - self.law.approach(z, xp.zeros_like(w))
-        return self.law.rebound(z, w) + self.share * damper
+        return self.law.rebound(z, w) + self.b * w
 
     def edge(self, w: Number) -> Number:
         zero = xp.zeros_like(w)
-        damper = self.law.approach(zero, xp.minimum(w, 0.0)) - self.law.approach(zero, zero)
         stiffness = self.law.rebound(zero + 1.0, zero) - self.law.rebound(zero, zero)
-        return self.law.edge(w) - self.share * damper / stiffness
+        return self.law.edge(w) - self.b * xp.minimum(w, 0.0) / stiffness
 
 
 class Hardening(AbstractContactEffect):

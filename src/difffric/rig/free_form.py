@@ -144,7 +144,7 @@ FORMS = {
     ),
     "spring": Form(
         CONTACT, FreeSpring, "compression", "m", lambda s: (s.compression, 10 * s.compression),
-        ("rebound_damping.share",),
+        ("rebound_damping.b_N_s_per_m",),
     ),
     "travel": Form(
         PUSHER, FreeTravel, "travel of the tip", "m", lambda s: (s.travel, 0.3 * s.travel),

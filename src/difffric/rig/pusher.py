@@ -29,11 +29,22 @@ class AbstractPusher(NumberTree, abc.ABC):
     @property
     @abc.abstractmethod
     def stroke(self) -> Number | None:
-        """The travel [m] at which the tip stops; None: at the first loss of contact."""
+        """The travel [m] at which the tip stops, where it says so; None: at the first loss of
+        contact."""
+
+    def travel(self, v: Number) -> Number:
+        """The travel [m] at which the tip stops at the speed v [m/s]; infinite where nothing but a
+        loss of contact stops it."""
+        return inf if self.stroke is None else self.stroke
 
     def stop_time(self, v: Number) -> Number:
-        """Time [s] at which the stroke ends at the speed v [m/s]; infinite without one."""
-        return inf if self.stroke is None else self.stroke / v
+        """Time [s] at which the tip stops at the constant speed v [m/s]; infinite likewise."""
+        return self.travel(v) / v
+
+    def find_travel_left(self, t: Number, y: Number, ahead: Number, v: Number) -> Number:
+        """How far the tip may go yet [m] before its command stops, at the time t [s] and the travel
+        y [m]; `ahead`: what it will go on for after that."""
+        return self.travel(v) - y - ahead
 
     def stops_at_release(self) -> Truth:
         """Whether the tip stands at the first loss of contact."""
@@ -89,8 +100,11 @@ class AbstractPusherEffect(AbstractPusher):
         """[m]; None: the tip stops at the first loss of contact."""
         return self.law.stroke
 
-    def stop_time(self, v: Number) -> Number:
-        return self.law.stop_time(v)
+    def travel(self, v: Number) -> Number:
+        return self.law.travel(v)
+
+    def find_travel_left(self, t: Number, y: Number, ahead: Number, v: Number) -> Number:
+        return self.law.find_travel_left(t, y, ahead, v)
 
     def stops_at_release(self) -> Truth:
         return self.law.stops_at_release()
@@ -122,6 +136,42 @@ class SpeedError(AbstractPusherEffect):
 
     def speed(self, velocity: Number) -> Number:
         return self.law.speed(self.factor * velocity)
+
+
+class Duration(AbstractPusherEffect):
+    """The tip stops when its time is over, be it in contact or not, if its stroke has not stopped
+    it before.
+
+    rate = 1 / duration >= 0 [1/s]; null: 0, for ever.
+    """
+
+    law: AbstractPusher
+    rate: Number = 0.0
+
+    @property
+    def _ends(self) -> Truth:
+        return xp.asarray(self.rate) > 0
+
+    @property
+    def duration(self) -> Number:
+        """The time [s] that the tip moves for, where it ends."""
+        return 1.0 / xp.where(self._ends, self.rate, 1.0)
+
+    @property
+    def stroke(self) -> Number | None:
+        """[m]; infinite: the time decides, and without one the first loss of contact."""
+        return inf if self.law.stroke is None else self.law.stroke
+
+    def travel(self, v: Number) -> Number:
+        own = self.law.travel(v)
+        return xp.where(self._ends, xp.minimum(own, self.duration * v), own)
+
+    def find_travel_left(self, t: Number, y: Number, ahead: Number, v: Number) -> Number:
+        own = self.law.find_travel_left(t, y, ahead, v)
+        return xp.where(self._ends, xp.minimum(own, (self.duration - t) * v), own)
+
+    def stops_at_release(self) -> Truth:
+        return xp.where(self._ends, False, self.law.stops_at_release())
 
 
 class Ramp(AbstractPusherEffect):

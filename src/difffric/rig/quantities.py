@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from decimal import Decimal
 from operator import attrgetter
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from difffric.rig import catalogue
-from difffric.rig.catalogue import CATALOGUE, Effect, Key
+from difffric.rig.catalogue import CATALOGUE, KEYS, Effect, Key
 from difffric.rig.contact import UnilateralSpringDamper
 from difffric.rig.friction import ViscousCoulomb, innermost
 from difffric.rig.parameters import PARAMETERS, range_of
@@ -32,6 +32,8 @@ class AbstractSetupQuantity(AbstractQuantity):
     section: str
     """the table that it stands in"""
     required: bool = False
+    written: bool = True
+    """whether it is written back here, and not under its other name"""
 
     @property
     @abc.abstractmethod
@@ -49,6 +51,10 @@ class AbstractSetupQuantity(AbstractQuantity):
     def text(self, held: float) -> str | None:
         """The file's number for what a rig holds; None: it goes without saying."""
         return self.from_si(held) if math.isfinite(held) else repr(held)
+
+    def scale_extras(self, said: Mapping[str, Any]) -> dict[str, Any]:
+        """What a table says beside the value, as results have it: in the file's own unit."""
+        return dict(said)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,6 +166,23 @@ class EffectQuantity(AbstractSetupQuantity):
         return f"{1 / Decimal(held):.{_FLOAT_DIGITS + 7}e}"
 
 
+@dataclass(frozen=True, kw_only=True)
+class DurationQuantity(EffectQuantity):
+    """The pusher's duration beside its stroke, in milliseconds: another name of its effect's
+    number, in whose table it is written."""
+
+    written: bool = False
+
+    def inverse(self, number: Decimal) -> float:
+        return super().inverse(number * Decimal(self.unit))
+
+    def scale_extras(self, said: Mapping[str, Any]) -> dict[str, Any]:
+        return {
+            key: x if x is None or isinstance(x, bool) else x * float(self.unit)
+            for key, x in said.items()
+        }
+
+
 def _quantity(effect: Effect, key: Key) -> EffectQuantity:
     name = f"{effect.id}.{key.name}"
     range = range_of(name, key)
@@ -191,8 +214,20 @@ MU_RATIO = _plain(
     same_as="mu_k_over_mu_s",
 )
 
+_DURATION, _DURATION_KEY = KEYS["pusher_duration.duration_s"]
+DURATION = DurationQuantity(
+    key="duration_ms",
+    attribute="pusher_duration.duration_s",
+    range=range_of("pusher_duration.duration_s", _DURATION_KEY),
+    unit=_MILLI,
+    section="pusher",
+    effect=_DURATION,
+    of_law=_DURATION_KEY,
+)
+
 QUANTITIES: tuple[AbstractSetupQuantity, ...] = (
     *PLAIN,
+    DURATION,
     MU_RATIO,
     *(q for qs in OF_EFFECTS.values() for q in qs),
 )

@@ -225,6 +225,12 @@ class AbstractProbe(NumberTree, abc.ABC):
         return 0.0
 
     @property
+    def latch(self) -> Number:
+        """The contact force [N] at whose first fall a distance starts, whatever follows; infinite:
+        there is no latch."""
+        return inf
+
+    @property
     def delay(self) -> Number:
         """How far readings of position lag those of force [s]."""
         return 0.0
@@ -262,6 +268,10 @@ class AbstractProbeEffect(AbstractProbe):
         return self.law.threshold
 
     @property
+    def latch(self) -> Number:
+        return self.law.latch
+
+    @property
     def delay(self) -> Number:
         return self.law.delay
 
@@ -289,6 +299,24 @@ class ReleaseThreshold(AbstractProbeEffect):
     @property
     def threshold(self) -> Number:
         return self.level
+
+
+class ReleaseLatch(AbstractProbeEffect):
+    """A table's distance is counted from the first time that the contact force falls through a
+    threshold, as a card's latch takes it, whatever follows; where it never does, from where it
+    would be without.
+
+    sensitivity = 1 / threshold >= 0 [1/N]; null: 0, no latch.
+    """
+
+    law: AbstractProbe
+    sensitivity: Number = 0.0
+    late: ClassVar[bool] = True
+
+    @property
+    def latch(self) -> Number:
+        some = xp.asarray(self.sensitivity) > 0
+        return xp.where(some, 1.0 / xp.where(some, self.sensitivity, 1.0), inf)
 
 
 class ChannelSkew(AbstractProbeEffect):

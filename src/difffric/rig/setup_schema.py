@@ -173,8 +173,9 @@ def _describe_unknown(*path: str) -> str:
         return "unknown key, the record of each push says it"
     if not within and key in _EFFECTS:
         return f"unknown table, expected [effects.{key}]"
-    home = [q.section for q in QUANTITIES if q.key == key]
-    if len(home) == 1:
+    everywhere = [q.section for q in QUANTITIES if q.key == key]
+    home = [x for x in everywhere if "." not in x] or everywhere
+    if len(home) == 1 and home[0] != section:
         return f"unknown key here, it belongs in [{home[0]}]"
     known = {"": _TABLES, "effects": _EFFECTS, **SECTIONS}.get(section, _Entry.model_fields)
     close = difflib.get_close_matches(key, known, n=1)

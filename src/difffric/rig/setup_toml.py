@@ -71,18 +71,19 @@ def parse_setup(text: str, name: str = "setup.toml") -> Setup:
         raise InputError(f"{name}: not valid TOML: {error}") from None
     except ArithmeticError:
         raise InputError(f"{name}: an exponent is beyond all numbers") from None
+    document = _read_older_keys(document)
     model = validate_document(document, name)
     values, extras, sizes, inverses = {}, {}, {}, {}
     for q, entry, is_table in iterate_entries(model, document):
         if isinstance(q, EffectQuantity):
-            sizes.setdefault(q.effect.id, {})[q.key] = q.to_si(entry.value)
+            sizes.setdefault(q.effect.id, {})[q.of_law.name] = q.to_si(entry.value)
             if q.of_law.inverse:
                 inverses[q.name] = q.inverse(entry.value)
         else:
             values[q.attribute] = q.to_si(entry.value)
         extras.pop(q.name, None)
         if is_table:
-            extras[q.name] = Extras(**entry.model_dump(exclude={"value"}))
+            extras[q.name] = Extras(**q.scale_extras(entry.model_dump(exclude={"value"})))
 
     def find_fields(part: str) -> dict[str, float]:
         start = f"rig.{part}."
@@ -93,6 +94,31 @@ def parse_setup(text: str, name: str = "setup.toml") -> Setup:
     if inverses:
         rig = catalogue.with_numbers(rig, inverses)
     return Setup(rig, values.get("mu_s_scatter"), extras, text.replace("\r\n", "\n"))
+
+
+def _read_older_keys(document: dict[str, Any]) -> dict[str, Any]:
+    """The document with the share of b that once damped the rebound as the coefficient that it
+    was."""
+    effects, contact = document.get("effects"), document.get("contact")
+    older = effects.get("rebound_damping") if isinstance(effects, dict) else None
+    if not isinstance(older, dict) or "share" not in older or "b_N_s_per_m" in older:
+        return document
+    b = contact.get("b_N_s_per_m") if isinstance(contact, dict) else None
+    b = b.get("value") if isinstance(b, dict) else b
+    if not _is_number(b):
+        return document  # whose other faults are told
+    share, others = older["share"], {key: x for key, x in older.items() if key != "share"}
+    new = {k: _times(x, b) for k, x in share.items()} if isinstance(share, dict) else share
+    damping = {**others, "b_N_s_per_m": _times(new, b)}
+    return document | {"effects": dict(effects or {}, rebound_damping=damping)}
+
+
+def _is_number(x: Any) -> bool:
+    return isinstance(x, int | Decimal) and not isinstance(x, bool)
+
+
+def _times(x: Any, b: Any) -> Any:
+    return x * b if _is_number(x) else x
 
 
 def write_setup(setup: Setup | Rig, path: str | os.PathLike) -> None:
@@ -140,7 +166,7 @@ def _format_tables(setup: Setup, name: str) -> dict[str, dict[str, str]]:
             problems.append(f"[{section}]: expected {PLAIN_LAWS[section].__name__}, got {law}")
             continue
         tables[section] = {}
-        for q in SECTIONS[section].values():
+        for q in filter(lambda q: q.written, SECTIONS[section].values()):
             try:
                 text = _format_value(q, q.of(setup), setup.extras.get(q.name))
             except InputError as error:

@@ -159,8 +159,8 @@ class Motion(NamedTuple):
             Event.CONTACT: jnp.where(rebounding, grip, jnp.where(nears, -grip, 1.0)),
         }
         if rig.pusher.stroke is not None:
-            left = rig.pusher.stroke - s.y - rig.pusher.lag() * V
-            runs = ~course.stopped & jnp.isfinite(rig.pusher.stroke)
+            left = rig.pusher.find_travel_left(s.t, s.y, rig.pusher.lag() * V, self.v)
+            runs = ~course.stopped & jnp.isfinite(left)
             found[Event.STOP] = jnp.where(runs, left, 1.0)
         if rig.friction.uneven:
             edge = rig.friction.edge

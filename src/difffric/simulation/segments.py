@@ -195,7 +195,8 @@ class Push(NamedTuple):
     def _advance(self, segment, dt, event, mode, z, u):
         """The next segment: the pusher has moved on, or has just stopped."""
         stops = event == Event.STOP
-        stroke = 0.0 if self.rig.pusher.stroke is None else self.rig.pusher.stroke
+        pusher = self.rig.pusher
+        stroke = 0.0 if pusher.stroke is None else pusher.travel(self.velocity)
         v_p, left = segment.v_p, self._time_left(segment)
         t_stop = segment.t + xp.where(xp.isfinite(left), left, 0.0)
         t = xp.where(stops, t_stop, segment.t + dt)

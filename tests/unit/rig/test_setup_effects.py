@@ -172,9 +172,9 @@ BAD = [
         "[effects.friction_ratio] ratio: missing, expected a number > 0 and <= 1",
     ),
     (
-        "[effects.friction_ratio]\nshare = 0.5\nratio = 1.1",
+        "[effects.friction_ratio]\ngap_m = 0.5\nratio = 1.1",
         "[effects.friction_ratio] ratio: expected a number > 0 and <= 1, got 1.1",
-        "[effects.friction_ratio] share: unknown key here, it belongs in [effects.rebound_damping]",
+        "[effects.friction_ratio] gap_m: unknown key here, it belongs in [effects.initial_gap]",
     ),
     (
         "[effects.presliding]\nsigma_1_N_s_per_m = 1",
@@ -452,3 +452,36 @@ def test_an_effect_keeps_its_sensor_s_numbers(component):
             assert getattr(getattr(real, component), name) == getattr(
                 getattr(plain, component), name
             )
+
+
+def test_older_share_of_the_damper_is_read_as_the_coefficient_that_it_was(file):
+    """b = 1500 N s/m in the set-up; share = 0.4 was b_r = 600 N s/m."""
+    older = read_setup(file("[effects.rebound_damping]\nshare = { value = 0.4, free = true }\n"))
+    now = read_setup(
+        file("[effects.rebound_damping]\nb_N_s_per_m = { value = 600, free = true }\n")
+    )
+    name = "rebound_damping.b_N_s_per_m"
+    assert parameters.values(older.rig)[name] == parameters.values(now.rig)[name] == 600
+    assert older.extras[name] == now.extras[name]
+
+
+def test_a_share_and_a_coefficient_together_are_refused(file):
+    assert problems(file("[effects.rebound_damping]\nshare = 0.4\nb_N_s_per_m = 600\n"))
+
+
+def test_duration_of_the_pusher_is_its_effect(file, tmp_path):
+    """46 ms beside the stroke are 0.046 s in the effect's table, bounds and errors with them."""
+    table = "{ value = 46, standard_error = 2, lower = 30, upper = 60 }"
+    short = read_setup(file(f"[pusher]\nduration_ms = {table}\n"))
+    table = "{ value = 0.046, standard_error = 0.002, lower = 0.03, upper = 0.06 }"
+    whole = read_setup(file(f"[effects.pusher_duration]\nduration_s = {table}\n"))
+    assert eqx.tree_equal(short.rig, whole.rig)
+    assert short.extras == whole.extras
+    write_setup(short, tmp_path / "again.toml")
+    assert eqx.tree_equal(read_setup(tmp_path / "again.toml").rig, whole.rig)
+
+
+@pytest.mark.parametrize("given", ["-3", "0", '"46"'])
+def test_a_duration_that_is_none_is_told(file, given):
+    (problem,) = problems(file(f"[pusher]\nduration_ms = {given}\n"))
+    assert problem.startswith("[pusher] duration_ms: expected a number > 0")

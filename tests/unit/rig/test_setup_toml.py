@@ -135,7 +135,7 @@ def test_the_papers_sensors_written_out_are_the_defaults(file):
 
 
 def test_units_agree_with_units_py():
-    known = {"mm": units.MM, "um": units.UM, "mV_per_N": units.MV}
+    known = {"mm": units.MM, "um": units.UM, "mV_per_N": units.MV, "ms": 1e-3}
     for q in QUANTITIES:
         suffix = next((suffix for suffix in known if q.key.endswith(f"_{suffix}")), None)
         assert float(q.unit) == known.get(suffix, 1.0) and q.per == 1, q.key

@@ -218,8 +218,10 @@ def _detect_loss(
     release: Bool[Array, ""],
 ) -> SensorReadout:
     """When and where contact is taken to be lost in the stride, if it is: where the force falls
-    through the probe's threshold."""
-    level = motion.rig.probe.threshold
+    through the probe's threshold, or for the first time through that of its latch."""
+    probe = motion.rig.probe
+    latches = jnp.isfinite(probe.latch)
+    level = jnp.where(latches, probe.latch, probe.threshold)
     first, last = N[0], jnp.where(release, 0.0, sum(N))
     jumps = (seen.before >= level) & (first < level) & (level > 0)
     falls = jnp.where(level > 0, (first >= level) & (last < level), release)
@@ -232,10 +234,10 @@ def _detect_loss(
     x = x - g / jnp.where(d == 0, 1.0, d)  # carries the derivatives
     share = jnp.where(level > 0, jnp.where(falls, x, 0.0), stride.end)
     t = stride.t + share * stride.h
-    crossed = falls | jumps
+    crossed = (falls | jumps) & ~(latches & seen.crossed)
     return seen._replace(
         t_lost=jnp.where(crossed, t, seen.t_lost),
-        x_lost=jnp.where(crossed, _look_up(seen.strides, t - motion.rig.probe.delay), seen.x_lost),
+        x_lost=jnp.where(crossed, _look_up(seen.strides, t - probe.delay), seen.x_lost),
         crossed=seen.crossed | crossed,
     )
 

@@ -171,8 +171,10 @@ class Rules(NamedTuple):
         c = self._note_event(at, m.course, s, V)
         _, dy = self.motion.tip(c, s)
         new, c = self._change_mode(at, c, s, dy, a)
-        # A rebound that would pull is over before it begins.
-        gone = (new == Mode.REBOUNDING) & (s.z < self.motion.rig.contact.edge(dy - s.u))
+        # A rebound that would pull is over before it begins; one that a catch begins stands on that
+        # edge, and rounding alone would end it.
+        pulls = s.z < self.motion.rig.contact.edge(dy - s.u)
+        gone = (new == Mode.REBOUNDING) & pulls & ~at.catches
         new = jnp.where(gone, Mode.FREE, new)
         c = c._replace(mode=new, touching=c.touching & ~gone)
         held = (new == Mode.STUCK) & self.is_breaking(c, s)
