@@ -28,6 +28,8 @@ class AbstractContact(NumberTree, abc.ABC):
     affine: ClassVar[bool] = False
     continues: ClassVar[bool] = False
     """whether both are smooth a little beyond z = 0, where a step may look for the event"""
+    parts_early: ClassVar[bool] = False
+    """whether a rebound may lose contact, and find it again, at z > 0"""
 
     @abc.abstractmethod
     def approach(self, z: Number, w: Number) -> Number:
@@ -92,6 +94,10 @@ class AbstractContactEffect(AbstractContact):
     def continues(self) -> bool:
         return self.law.continues
 
+    @property
+    def parts_early(self) -> bool:
+        return self.law.parts_early
+
     def approach(self, z: Number, w: Number) -> Number:
         return self.law.approach(z, w)
 
@@ -122,6 +128,11 @@ class ReboundDamping(AbstractContactEffect):
 
     law: AbstractContact
     b: Number = 0.0
+    parts_early: ClassVar[bool] = True
+
+    @property
+    def affine(self) -> bool:
+        return self.law.affine
 
     @property
     def damped(self) -> Truth:

@@ -21,6 +21,8 @@ from difffric.simulation.oscillator import Oscillator, ViscousSlide
 if TYPE_CHECKING:
     from jaxtyping import Array, Float
 
+_ROUNDING = 1e-11
+"""A force below zero by less than this share of friction's is none."""
 _SINE, _COSINE, _DECAY = (
     [sign**n / factorial(per * n + more) for n in range(5)]
     for sign, per, more in ((-1.0, 2, 1), (-1.0, 2, 0), (1.0, 1, 0))
@@ -51,6 +53,16 @@ def _gap(t, args):
     drag, rate, u, ahead, v_p = args
     s, u_t = ViscousSlide(drag, rate).flow(u, t)
     return ahead + s - v_p * t, u_t - v_p
+
+
+def _grip(t, args):
+    """How far a free part that is still within the spring's reach, z > 0, is from the edge at which
+    a damped rebound would hold it again, in lengths: z + lever w < 0 there; and its rate. Both with
+    the sign turned, so that it falls."""
+    drag, rate, u, z, v_p, lever = args
+    s, u_t = ViscousSlide(drag, rate).flow(u, t)
+    w = v_p - u_t
+    return -(z + v_p * t - s + lever * w), -(w + lever * (drag + rate * u_t))
 
 
 def _compression(t, args):
@@ -146,6 +158,8 @@ class ClosedForm(NumberTree):
 
     def follow_rebounding(self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number) -> Leg:
         """The part recedes from the tip, until release, w = 0 or the pusher's stop."""
+        if rig.contact.parts_early:
+            return self._follow_damped_rebound(rig, z, u, v_p, left)
         osc, z_e = _oscillator(rig.rebounding, v_p)
         xi, w = z - z_e, v_p - u
         turn = _unless_steady(osc, xi, w, z_e, osc.turning_time(xi, w, -1.0))
@@ -170,6 +184,35 @@ class ClosedForm(NumberTree):
         u_1 = xp.where(event == Event.TURN, v_p, v_p - dp)
         return Leg(dt, event, z_1, u_1, 0.0, 0.0)
 
+    def _follow_damped_rebound(self, rig, z, u, v_p, left):
+        """The same where a damper acts on rebound. Contact is lost where the force falls to zero:
+        over the stiffness it is z + lever w, beyond its equilibrium an oscillation of the same
+        kind, which is lowest before the part turns."""
+        osc, z_e = _oscillator(rig.rebounding, v_p)
+        xi, w = z - z_e, v_p - u
+        lever = _find_lever(rig, v_p)
+        f, df = xi + lever * w, w - lever * (2 * osc.alpha * w + osc.omega0_sq * xi)
+        turn = _unless_steady(osc, xi, w, z_e, osc.turning_time(xi, w, -1.0))
+        lowest = xp.where(df > 0, xp.inf, osc.turning_time(f, df, -1.0))
+        # Where the tip has just stopped the damper may pull at once. (By more than the rounding of
+        # a part that was caught on this very edge.)
+        gone = f < -z_e * (1 + _ROUNDING)
+        finite = xp.isfinite(turn) & xp.isfinite(lowest)
+        until = xp.where(finite, lowest, 0.0)
+        depth = osc.extremum(f, df, until)
+        leaves = finite & (depth >= z_e) & ~gone & (w <= 0)
+        guess = until - _release_phase(osc, z_e, xp.where(leaves, depth, z_e))
+        args = (osc.alpha, osc.omega0_sq, f, df, z_e)
+        parting = find_falling_root(_compression, args, 0.0, xp.where(leaves, until, 0.0), guess, 1)
+        release = xp.where(gone, 0.0, xp.where(leaves, parting, xp.inf))
+        turn = xp.where(leaves | gone, xp.inf, turn)
+        dt, event = first_event((left, Event.STOP), (release, Event.RELEASE), (turn, Event.TURN))
+        p, dp = osc.flow(xi, w, _finite(dt))
+        p = xp.where(event == Event.TURN, -osc.extremum(xi, w, _finite(dt)), p)
+        z_1 = xp.where((event == Event.RELEASE) & ~gone, -lever * dp, z_e + p)
+        u_1 = xp.where(event == Event.TURN, v_p, v_p - dp)
+        return Leg(dt, event, z_1, u_1, 0.0, 0.0)
+
     def follow_free(
         self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number, may_catch: bool
     ) -> Leg:
@@ -181,16 +224,39 @@ class ClosedForm(NumberTree):
         horizon = xp.minimum(t_rest, left)
         args = (*slide, u, -z, v_p)
         caught = (v_p > 0) & (z <= 0) & (_gap(horizon, args)[0] <= 0)
+        early = xp.inf
+        if rig.contact.parts_early:
+            early = self._find_early_catch(rig, slide, z, u, v_p, left)
+            # Else it leaves the spring's reach, if the tip does not stop before.
+            leaves = (v_p > 0) & (z > 0) & xp.isinf(early) & (_slow_down(slide, u, v_p) < horizon)
+            caught = caught | (leaves & (_gap(horizon, args)[0] <= 0))
         # The gap is concave: it grows until u = v_p, and falls ever faster from there.
-        level = slide.drag + slide.rate * v_p
-        since = xp.where(caught & (u > v_p), ViscousSlide(level, slide.rate).rest(u - v_p)[0], 0.0)
+        since = xp.where(caught, _slow_down(slide, u, v_p), 0.0)
         upto = xp.where(caught, horizon, 0.0)
         catch = xp.where(caught, find_falling_root(_gap, args, since, upto, upto), xp.inf)
+        catch = xp.minimum(catch, early)
         dt, event = first_event((left, Event.STOP), (catch, Event.CATCH), (t_rest, Event.HALT))
         s, u_1 = slide.flow(u, dt)
         s = xp.where(event == Event.HALT, s_rest, s)
         z_1 = xp.where(event == Event.CATCH, 0.0, z + v_p * dt - s)
+        if rig.contact.parts_early:
+            again = (event == Event.CATCH) & xp.isfinite(early)
+            z_1 = xp.where(again, -_find_lever(rig, v_p) * (v_p - u_1), z_1)
         return Leg(dt, event, z_1, xp.where(event == Event.HALT, 0.0, u_1), s, 0.0)
+
+    def _find_early_catch(self, rig, slide, z, u, v_p, left):
+        """When a part that was let go within the spring's reach, z > 0, is held again: it slows
+        down, the damper would pull less, and the force is none of pulling any more. Infinite where
+        it gets out of reach."""
+        lever = _find_lever(rig, v_p)
+        # z + lever w is lowest where w = -lever dw/dt, and z where part and tip are equally fast.
+        deepest = (v_p + lever * slide.drag) * quotient(1.0, 1 - lever * slide.rate)
+        since, even = _slow_down(slide, u, deepest), _slow_down(slide, u, v_p)
+        upto = xp.minimum(even, left)
+        args = (*slide, u, z, v_p, lever)
+        held = (z > 0) & (u > v_p) & (since < upto) & (_grip(upto, args)[0] < 0)
+        since, upto = xp.where(held, since, 0.0), xp.where(held, upto, 0.0)
+        return xp.where(held, find_falling_root(_grip, args, since, upto, upto), xp.inf)
 
     def evaluate_pushed(
         self, rig: Rig, closing: Truth, z: Number, u: Number, v_p: Number, t: Number
@@ -231,6 +297,19 @@ def _release_phase(osc, z_e, depth):
     turned = sine * k + cosine * s, cosine * k - sine * s
     phase = phase + more + step(*turned, fading * polynomial(_DECAY, -c * more))
     return quotient(phase, rate)
+
+
+def _find_lever(rig, like):
+    """By how much a rebound's damper moves the edge of contact: damping over stiffness [s]."""
+    stiffness = slope(lambda z: rig.contact.rebound(z, 0.0), like)
+    return slope(lambda w: rig.contact.rebound(0.0, w), like) * quotient(1.0, stiffness)
+
+
+def _slow_down(slide, u, to):
+    """The time [s] in which a free part slows down from the speed u to another [m/s]; 0 where it is
+    no faster."""
+    level = ViscousSlide(slide.drag + slide.rate * to, slide.rate)
+    return xp.where(u > to, level.rest(xp.where(u > to, u - to, 0.0))[0], 0.0)
 
 
 def _finite(t):

@@ -149,8 +149,9 @@ class Push(NamedTuple):
 
     @property
     def once(self) -> bool:
-        """Whether one cycle is all: the pusher stops at the first loss of contact."""
-        return self.rig.pusher.stroke is None
+        """Whether one cycle is all: the pusher stops at the first loss of contact, and nothing
+        holds the part again."""
+        return self.rig.pusher.stroke is None and not self.rig.contact.parts_early
 
     def start(self) -> State:
         """At rest in contact without preload, the pusher starting."""
@@ -271,9 +272,10 @@ class Push(NamedTuple):
             self.rig, s.z, s.u, s.v_p, self._time_left(s), not self.once
         )
         caught = leg.event == Event.CATCH
-        mode = xp.where(
-            caught, Mode.CLOSING, xp.where(leg.event == Event.HALT, Mode.STUCK, Mode.FREE)
-        )
+        pushed = Mode.CLOSING
+        if self.rig.contact.parts_early:  # held again while it still recedes
+            pushed = xp.where(leg.z > 0, Mode.REBOUNDING, Mode.CLOSING)
+        mode = xp.where(caught, pushed, xp.where(leg.event == Event.HALT, Mode.STUCK, Mode.FREE))
         return state._replace(
             segment=self._advance(s, leg.dt, leg.event, mode, leg.z, leg.u),
             contacts=state.contacts + caught,
