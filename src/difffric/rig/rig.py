@@ -46,8 +46,8 @@ class Rig(NumberTree):
     def affine(self) -> bool:
         """Whether every segment of a push has a closed form, and what is read of it too."""
         laws = self.friction.affine and self.contact.affine and self.pusher.constant
-        sensors = self.force_sensor.filtered or self.force_sensor.sampled or self.probe.late
-        return laws and not sensors
+        sensor = self.force_sensor
+        return laws and not (sensor.filtered or sensor.sampled or self.probe.looked_up)
 
     @property
     def sensor_errors(self) -> tuple[float | None, float | None]:

@@ -204,6 +204,10 @@ class AbstractProbe(NumberTree, abc.ABC):
 
     late: ClassVar[bool] = False
     """whether a distance starts anywhere but at the loss of contact"""
+    latches: ClassVar[bool] = False
+    """whether it may start where a latch closed"""
+    looked_up: ClassVar[bool] = False
+    """whether where it starts has no closed form, and is looked up on the way"""
 
     @property
     @abc.abstractmethod
@@ -260,6 +264,14 @@ class AbstractProbeEffect(AbstractProbe):
     def late(self) -> bool:
         return self.law.late
 
+    @property
+    def latches(self) -> bool:
+        return self.law.latches
+
+    @property
+    def looked_up(self) -> bool:
+        return self.law.looked_up
+
     def read(self, x: Number) -> Number:
         return self.law.read(x)
 
@@ -295,6 +307,7 @@ class ReleaseThreshold(AbstractProbeEffect):
     law: AbstractProbe
     level: Number = 0.0
     late: ClassVar[bool] = True
+    looked_up: ClassVar[bool] = True
 
     @property
     def threshold(self) -> Number:
@@ -312,6 +325,7 @@ class ReleaseLatch(AbstractProbeEffect):
     law: AbstractProbe
     sensitivity: Number = 0.0
     late: ClassVar[bool] = True
+    latches: ClassVar[bool] = True
 
     @property
     def latch(self) -> Number:
@@ -325,6 +339,7 @@ class ChannelSkew(AbstractProbeEffect):
     law: AbstractProbe
     skew: Number = 0.0
     late: ClassVar[bool] = True
+    looked_up: ClassVar[bool] = True
 
     @property
     def delay(self) -> Number:

@@ -15,6 +15,7 @@ from difffric.errors import InputError
 from difffric.rig.number import Number, Truth
 from difffric.rig.rig import Rig
 from difffric.simulation.events import Event
+from difffric.simulation.force_latch import ForceFall
 from difffric.simulation.leg import Leg, first_event
 from difffric.simulation.oscillator import Oscillator, ViscousSlide
 
@@ -212,6 +213,34 @@ class ClosedForm(NumberTree):
         z_1 = xp.where((event == Event.RELEASE) & ~gone, -lever * dp, z_e + p)
         u_1 = xp.where(event == Event.TURN, v_p, v_p - dp)
         return Leg(dt, event, z_1, u_1, 0.0, 0.0)
+
+    def find_force_fall(
+        self, rig: Rig, closing: bool, z: Number, u: Number, v_p: Number, dt: Number
+    ) -> ForceFall:
+        """How the force goes along a pushed leg of dt [s]: it obeys the same oscillator, and falls
+        from its top or from the start to its lowest point or to the end."""
+        law, motion = (
+            (rig.contact.approach, rig.approaching)
+            if closing
+            else (rig.contact.rebound, rig.rebounding)
+        )
+        osc, z_e = _oscillator(motion, v_p)
+        xi, w = z - z_e, v_p - u
+        k, b = slope(lambda z: law(z, 0.0), v_p), slope(lambda w: law(0.0, w), v_p)
+        above = law(z_e, 0.0) - rig.probe.latch
+        n, dn = k * xi + b * w, k * w - b * (2 * osc.alpha * w + osc.omega0_sq * xi)
+        rises, end = dn > 0, _finite(dt)
+        top = xp.where(rises, xp.minimum(_finite(osc.turning_time(n, dn, 1.0)), end), 0.0)
+        low = xp.where(rises, xp.inf, osc.turning_time(n, dn, -1.0))
+        until = xp.minimum(low, end)
+        args = (osc.alpha, osc.omega0_sq, n, dn, above)
+        highest, lowest = _compression(top, args)[0], _compression(until, args)[0]
+        falls = (highest >= 0) & (lowest < 0)
+        top, until = xp.where(falls, top, 0.0), xp.where(falls, until, 0.0)
+        time = find_falling_root(_compression, args, top, until, 0.5 * (top + until))
+        last = _compression(end, args)[0] + rig.probe.latch
+        first = law(z, w)
+        return ForceFall(first, last, xp.where(falls, time, xp.inf))
 
     def follow_free(
         self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number, may_catch: bool

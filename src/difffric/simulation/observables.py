@@ -177,7 +177,10 @@ def observe_segments(push: Push, state: State) -> Observables:
     peak = push.rig.force_sensor.read(state.peak)
     slid = push.rig.probe.read(state.slid)
     no_end = lost_track | too_many | too_long | state.endless
-    last = state.segment
+    last, latch = state.segment, state.latch
+    if latch is not None:
+        since = push.rig.probe.read(last.y - last.z) - push.rig.probe.read(latch.x)
+        slid = xp.where(latch.closed, since, slid)
     return Observables(
         # Of so many cycles in few contacts each is a smaller swing about steady sliding than the
         # one before: the peak is decided.

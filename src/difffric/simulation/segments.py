@@ -15,6 +15,7 @@ from difffric.rig.number import Number, Truth
 from difffric.rig.rig import Rig
 from difffric.simulation.closed_form import ClosedForm
 from difffric.simulation.events import MAX_CONTACTS, MAX_CYCLES, Event, Mode
+from difffric.simulation.force_latch import ForceFall, ForceLatch
 from difffric.simulation.leg import Leg
 
 if TYPE_CHECKING:
@@ -64,6 +65,8 @@ class State(NamedTuple):
     """whether the push goes on for ever"""
     cycles: Int[Array, ""]
     """turns through the modes"""
+    latch: Any = None
+    """a `ForceLatch` where the probe has one"""
 
     @property
     def over(self) -> Bool[Array, ""]:
@@ -113,6 +116,13 @@ class Integrator(Protocol):
 
     def evaluate_free(self, rig: Rig, u: Number, t: Number) -> tuple[Array, Array]:
         """(distance [m], u [m/s]) at the time t [s] into a free leg."""
+        ...
+
+    def find_force_fall(
+        self, rig: Rig, closing: bool, z: Number, u: Number, v_p: Number, dt: Number
+    ) -> ForceFall:
+        """How the force goes along a pushed leg of dt [s], beside the threshold of the probe's
+        latch. Only asked where the probe has one."""
         ...
 
 
@@ -175,6 +185,7 @@ class Push(NamedTuple):
             slid=zero,
             endless=no,
             cycles=none,
+            latch=ForceLatch(no, no, zero) if self.rig.probe.latches else None,
         )
 
     def cycle(self, state: State) -> tuple[State, list[Segment]]:
@@ -204,6 +215,24 @@ class Push(NamedTuple):
         y = xp.where(stops, stroke, segment.y + v_p * xp.where(v_p > 0, dt, 0.0))
         return Segment(xp.asarray(mode), t, y, xp.where(stops, 0.0, v_p), z, u)
 
+    def _watch(self, state: State, leg: Leg, closing: bool) -> ForceLatch | None:
+        """The latch after a pushed leg."""
+        if state.latch is None:
+            return None
+        s, rig = state.segment, self.rig
+        start = s.z, s.u, s.v_p
+        fall = self.integrator.find_force_fall(rig, closing, *start, leg.dt)
+        t = xp.where(xp.isfinite(fall.time), fall.time, 0.0)
+        z, _ = self.integrator.evaluate_pushed(rig, xp.full_like(s.z, closing, bool), *start, t)
+        return state.latch.follow(rig.probe.latch, fall, s.y - s.z, s.y + s.v_p * t - z)
+
+    def _watch_still(self, state: State, first: Number, last: Number) -> ForceLatch | None:
+        """The latch after a leg in which the force only rises, or is none."""
+        if state.latch is None:
+            return None
+        x, fall = state.segment.y - state.segment.z, ForceFall(first, last, xp.inf)
+        return state.latch.follow(self.rig.probe.latch, fall, x, x)
+
     def _wait_stuck(self, state: State) -> State:
         s, rig = state.segment, self.rig
         z_b = self.integrator.find_breakaway(rig, s.v_p)
@@ -226,6 +255,9 @@ class Push(NamedTuple):
             in_contact=z >= 0,
             peak=xp.where(higher, force, state.peak),
             peak_contact=xp.where(higher, contacts, state.peak_contact),
+            latch=self._watch_still(
+                state, xp.where(s.z >= 0, rig.contact.approach(s.z, s.v_p), 0.0), force
+            ),
         )
 
     def _close(self, state: State) -> State:
@@ -242,6 +274,7 @@ class Push(NamedTuple):
             peak=xp.where(higher, leg.peak, state.peak),
             peak_contact=xp.where(higher, state.contacts, state.peak_contact),
             endless=state.endless | never,
+            latch=self._watch(state, leg, True),
         )
 
     def _rebound(self, state: State) -> State:
@@ -264,6 +297,7 @@ class Push(NamedTuple):
             in_contact=state.in_contact & ~released,
             slid=xp.where(released, 0.0, state.slid),
             endless=state.endless | never,
+            latch=self._watch(state, leg, False),
         )
 
     def _slide(self, state: State) -> State:
@@ -282,6 +316,7 @@ class Push(NamedTuple):
             in_contact=caught,
             slid=state.slid + leg.slid,
             endless=state.endless | (leg.event == Event.NONE),
+            latch=self._watch_still(state, 0.0, xp.zeros_like(s.z)),
         )
 
     def last_state(self) -> State:
