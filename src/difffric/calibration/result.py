@@ -161,7 +161,8 @@ class Fit:
             return None
         half = scipy.stats.t.ppf(0.5 + level / 2, self.freedom[i]) * np.sqrt(variance)
         centre = self.theta[i] + self.ahead[i]
-        low, high = (float(to_value(self.names[i], centre + s * half)) for s in (-1, 1))
+        with np.errstate(over="ignore"):  # what is not determined reaches to infinity
+            low, high = (float(to_value(self.names[i], centre + s * half)) for s in (-1, 1))
         if label in self.held:
             value = self.value(label)
             low, high = (value, max(value, high)) if self.ahead[i] < 0 else (min(value, low), value)
