@@ -24,6 +24,7 @@ from difffric.estimation.coordinates import layout
 from difffric.estimation.descent import Model
 from difffric.estimation.stacked_data import slides_data, table_data
 from difffric.measurements.checks import check_data
+from difffric.measurements.latched_distances import describe_latch
 from difffric.measurements.pusher_tracking import describe_tracking
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
@@ -99,6 +100,7 @@ def fit(
         pushes = reduction.pushes
         task = _arrange(setup, pushes, wishes)
         task.notes.extend(describe_tracking(reduction.recordings, rig.pusher.stroke))
+        task.notes.extend(describe_latch(reduction))
         search = RecordingSearch(task.model, reduction, task.starts, tell, thorough)
         state, reached = search.run()
     else:

@@ -20,6 +20,7 @@ from difffric.identification.free_slide import estimate_by_slides
 from difffric.identification.inversion import BRACKET
 from difffric.identification.resolved_pushes import Calibration, ResolvedPushes
 from difffric.measurements.checks import check_data
+from difffric.measurements.latched_distances import describe_latch
 from difffric.measurements.pusher_tracking import describe_tracking
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
@@ -95,6 +96,7 @@ def identify(
     notes = describe_agreement(answers)
     if reduction is not None:
         notes += describe_tracking(reduction.recordings, known.rig.pusher.stroke)
+        notes += describe_latch(reduction)
     return Identified(tuple(answers), pushes.skipped, notes)
 
 

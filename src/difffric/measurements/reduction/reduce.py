@@ -26,6 +26,7 @@ NEVER_RESTS = "never comes to rest within the recording"
 RESTS_IN_CONTACT = "rests in contact"
 _HELD = 1 << 18  # samples of a channel that are kept in memory while a push is reduced, 2 MB
 _SHORT = 1e-5  # a slide [m] so short that a small force at rest says more
+_ABOUT = 2.5  # intervals to either side of a time that its position is averaged over
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,8 @@ class Reduced:
     rest_position_se: float = np.nan
     rest_time: float = np.nan
     """from here on no motion is seen [s]"""
+    latched_distance: float = np.nan
+    """d [m] as a latch at the first loss of contact counts it, where contact is lost again later"""
     onsets: tuple[float, ...] = ()
     """times at which a contact begins, the first included [s]"""
     jumps: tuple[float, ...] = ()
@@ -173,6 +176,8 @@ def _with_force(
     if slide.position > out.rest_position - _SHORT and _presses(force, noise, quiet, out.rest_time):
         reasons.append(f"{RESTS_IN_CONTACT}, or the force's zero has drifted")
         return out
+    if len(contacts) > 1:
+        out = replace(out, latched_distance=out.rest_position - _read(position, contacts[0].end))
     # x(t) is curved: an error of the release time, of either sign, takes it off the true x.
     delay = release.time_se
     bent = slide.acceleration / 2 * delay**2
@@ -190,6 +195,11 @@ def _with_force(
         deceleration=slide.deceleration,
         deceleration_se=slide.deceleration_se,
     )
+
+
+def _read(position: Channel, t: float) -> float:
+    """The position [m] at a time [s], about: the mean of a few samples."""
+    return float(np.mean(position.between(t - _ABOUT * position.dt, t + _ABOUT * position.dt)[1]))
 
 
 def _presses(force: Channel, noise: Noise, quiet: NDArray, rest_time: float) -> bool:

@@ -1,0 +1,37 @@
+"""Where a card's latch would count d from another loss of contact than the last one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from difffric.measurements.reduction.reduce import Reduction
+from difffric.number_text import format_number
+from difffric.units import to_um
+
+
+def describe_latch(reduction: Reduction) -> tuple[str, ...]:
+    """A note of how far a latch at the first loss of contact would be from d; none where contact is
+    lost once in every push.
+
+    A card that latches the first fall of the force counts what the part is pushed on later as
+    sliding (the effect `release_latch` of a table).
+    """
+    apart = _list_differences(reduction)
+    several = np.flatnonzero(np.isfinite(apart))
+    if not len(several):
+        return ()
+    worst = int(several[np.argmax(apart[several])])
+    name = reduction.recordings[worst].name or f"push {worst}"
+    most = format_number(to_um(apart[worst]), 3)
+    return (
+        f"{len(several)} of {len(apart)} pushes lose contact more than once: d counts from the "
+        f"last loss, a latch at the first one would give up to {most} µm more ({name})",
+    )
+
+
+def _list_differences(reduction: Reduction) -> np.ndarray:
+    """The latch's distance less d (n,) [m]; NaN where there is one loss of contact, or no d."""
+    details: Sequence = reduction.details
+    return np.array([r.latched_distance - r.sliding_distance for r in details], float)
