@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -53,6 +54,10 @@ def acquire(
     stroke = None if stroke_mm is None else from_mm(stroke_mm)
     if stroke is None and known is not None:
         stroke = known.rig.pusher.stroke
+        if stroke is not None and not math.isfinite(stroke):
+            raise InputError(
+                f"{file}: [pusher] duration_ms: a card counts travel, give --stroke-mm"
+            )
     mass = float("nan") if known is None else float(known.rig.mass)
     pushes = reports.acquire.plan_commands(velocity_mm_min or (), stroke=stroke, mass=mass)
     with open_folder(out or Path()) as folder, card as session:

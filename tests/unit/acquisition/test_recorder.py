@@ -420,14 +420,16 @@ def test_the_command_takes_the_paper_s_speeds_twice_and_the_set_up_s_stroke(run,
 
 
 def test_the_command_without_a_card_or_with_bad_numbers_is_one_line_and_status_2(run, tmp_path):
-    setup = tmp_path / "setup.toml"
+    setup, timed = tmp_path / "setup.toml", tmp_path / "timed.toml"
     setup.write_text(SETUP)
+    timed.write_text(SETUP + "[pusher]\nduration_ms = 46\n")
     simulated = ("--simulate", setup, "--out", tmp_path / "out")
     for arguments, words in (
         ((), "use --simulate SETUP"),
         ((*simulated, "--velocity-mm-min", -1), "--velocity-mm-min: expected a number > 0"),
         ((*simulated, "--rate-hz", 0.5), "rate: expected a whole number of samples a second"),
         ((*simulated, "--velocity-mm-min", 1e9), "velocity: expected"),
+        (("--simulate", timed, "--out", tmp_path / "out"), "give --stroke-mm"),
     ):
         if not arguments and ctypes.util.find_library("NiFpga"):
             continue
