@@ -10,6 +10,9 @@ from difffric.measurements.reduction.reduce import Reduction
 from difffric.number_text import format_number
 from difffric.units import to_um
 
+_SEEN = 5.0
+"""Standard errors of d by which a latch's distance must be longer to be told."""
+
 
 def describe_latch(reduction: Reduction) -> tuple[str, ...]:
     """A note of how far a latch at the first loss of contact would be from d; none where contact is
@@ -32,6 +35,8 @@ def describe_latch(reduction: Reduction) -> tuple[str, ...]:
 
 
 def _list_differences(reduction: Reduction) -> np.ndarray:
-    """The latch's distance less d (n,) [m]; NaN where there is one loss of contact, or no d."""
+    """The latch's distance less d (n,) [m]; NaN where there is no d, or no difference is seen."""
     details: Sequence = reduction.details
-    return np.array([r.latched_distance - r.sliding_distance for r in details], float)
+    apart = np.array([r.latched_distance - r.sliding_distance for r in details], float)
+    least = _SEEN * np.array([r.sliding_distance_se for r in details], float)
+    return np.where(apart > least, apart, np.nan)

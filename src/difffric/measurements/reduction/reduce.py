@@ -198,8 +198,9 @@ def _with_force(
 
 
 def _read(position: Channel, t: float) -> float:
-    """The position [m] at a time [s], about: the mean of a few samples."""
-    return float(np.mean(position.between(t - _ABOUT * position.dt, t + _ABOUT * position.dt)[1]))
+    """The position [m] about a time [s]: the mean of a few samples; NaN where there are none."""
+    _, x = position.between(t - _ABOUT * position.dt, t + _ABOUT * position.dt)
+    return float(np.mean(x)) if len(x) else np.nan
 
 
 def _presses(force: Channel, noise: Noise, quiet: NDArray, rest_time: float) -> bool:
