@@ -12,7 +12,7 @@ import os
 import tomllib
 from contextlib import suppress
 from dataclasses import asdict
-from decimal import Decimal
+from decimal import Context, Decimal
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -71,7 +71,7 @@ def parse_setup(text: str, name: str = "setup.toml") -> Setup:
         raise InputError(f"{name}: not valid TOML: {error}") from None
     except ArithmeticError:
         raise InputError(f"{name}: an exponent is beyond all numbers") from None
-    document = _read_older_keys(document)
+    document = _read_older_keys(document, name)
     model = validate_document(document, name)
     values, extras, sizes, inverses = {}, {}, {}, {}
     for q, entry, is_table in iterate_entries(model, document):
@@ -96,21 +96,31 @@ def parse_setup(text: str, name: str = "setup.toml") -> Setup:
     return Setup(rig, values.get("mu_s_scatter"), extras, text.replace("\r\n", "\n"))
 
 
-def _read_older_keys(document: dict[str, Any]) -> dict[str, Any]:
+def _read_older_keys(document: dict[str, Any], name: str) -> dict[str, Any]:
     """The document with the share of b that once damped the rebound as the coefficient that it
-    was."""
+    was. Raises `InputError`, led by the file's `name`, for what is no share."""
     effects, contact = document.get("effects"), document.get("contact")
     older = effects.get("rebound_damping") if isinstance(effects, dict) else None
     if not isinstance(older, dict) or "share" not in older or "b_N_s_per_m" in older:
         return document
-    b = contact.get("b_N_s_per_m") if isinstance(contact, dict) else None
-    b = b.get("value") if isinstance(b, dict) else b
+    b = _find_value(contact.get("b_N_s_per_m") if isinstance(contact, dict) else None)
     if not _is_number(b):
         return document  # whose other faults are told
-    share, others = older["share"], {key: x for key, x in older.items() if key != "share"}
+    share = older["share"]
+    value = _find_value(share)
+    if not (_is_number(value) and not Decimal(value).is_nan() and 0 <= value <= 1):
+        raise InputError(
+            f"{name}: [effects.rebound_damping] share: expected a number >= 0 and <= 1, of b; got "
+            f"{value}"
+        )
     new = {k: _times(x, b) for k, x in share.items()} if isinstance(share, dict) else share
-    damping = {**others, "b_N_s_per_m": _times(new, b)}
+    damping = {key: x for key, x in older.items() if key != "share"}
+    damping["b_N_s_per_m"] = _times(new, b)
     return document | {"effects": dict(effects or {}, rebound_damping=damping)}
+
+
+def _find_value(entry: Any) -> Any:
+    return entry.get("value") if isinstance(entry, dict) else entry
 
 
 def _is_number(x: Any) -> bool:
@@ -118,7 +128,8 @@ def _is_number(x: Any) -> bool:
 
 
 def _times(x: Any, b: Any) -> Any:
-    return x * b if _is_number(x) else x
+    """The product of numbers, which may come out as none; what is not a number stays."""
+    return Context(traps=[]).multiply(Decimal(x), Decimal(b)) if _is_number(x) else x
 
 
 def write_setup(setup: Setup | Rig, path: str | os.PathLike) -> None:

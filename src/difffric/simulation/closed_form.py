@@ -279,8 +279,11 @@ class ClosedForm(NumberTree):
         it gets out of reach."""
         lever = _find_lever(rig, v_p)
         # z + lever w is lowest where w = -lever dw/dt, and z where part and tip are equally fast.
-        deepest = (v_p + lever * slide.drag) * quotient(1.0, 1 - lever * slide.rate)
-        since, even = _slow_down(slide, u, deepest), _slow_down(slide, u, v_p)
+        slower = 1 - lever * slide.rate
+        bends = slower > 0  # else it only falls from the release on
+        deepest = (v_p + lever * slide.drag) * quotient(1.0, xp.where(bends, slower, 1.0))
+        since = xp.where(bends, _slow_down(slide, u, deepest), 0.0)
+        even = _slow_down(slide, u, v_p)
         upto = xp.minimum(even, left)
         args = (*slide, u, z, v_p, lever)
         held = (z > 0) & (u > v_p) & (since < upto) & (_grip(upto, args)[0] < 0)

@@ -106,7 +106,9 @@ def observe_steps(loop: StepLoop, m: LoopState) -> Observables:
     if loop.motion.bristles is not None:
         # Let go, the bristles stand upright, but for what holds the part on a slope.
         x = x - m.s.q - rig.slope / loop.motion.bristles.stiffness
+    latched = False
     if m.sensed and probe.late:
+        latched = m.sensed.crossed & xp.isfinite(probe.latch)
         x_lost = xp.where(m.sensed.crossed, m.sensed.x_lost, x_lost)
     no_end = too_many | lost_track | for_ever | m.endless
     return Observables(
@@ -116,7 +118,7 @@ def observe_steps(loop: StepLoop, m: LoopState) -> Observables:
         regime=regime,
         stuck_first=m.stuck_first,
         contacts=m.contacts,
-        kind=_kind(regime, m.stuck_first, m.contacts, m.sticks, m.peak_contact),
+        kind=_kind(regime, m.stuck_first, latched, m.contacts, m.sticks, m.peak_contact),
         displacement=xp.where(no_end, xp.nan, x),
         duration=xp.where(no_end, xp.nan, m.s.t),
     )
@@ -126,8 +128,8 @@ _DECIDED = 3
 """Times that a part is held after which its peak has come: at the start, and after a slip."""
 
 
-def _kind(regime, stuck_first, *counts):
-    kind = regime + 4 * stuck_first
+def _kind(regime, stuck_first, latched, *counts):
+    kind = regime + 4 * stuck_first + 8 * latched
     for count in counts:
         kind = kind * 1024 + count % 1024  # so that neighbouring counts differ, however large
     return kind  # of three counts: 30 bits
@@ -190,7 +192,7 @@ def observe_segments(push: Push, state: State) -> Observables:
         regime=regime,
         stuck_first=state.stuck_first,
         contacts=state.contacts,
-        kind=_kind(regime, state.stuck_first, *counts),
+        kind=_kind(regime, state.stuck_first, False if latch is None else latch.closed, *counts),
         displacement=xp.where(no_end, xp.nan, last.y - last.z),
         duration=xp.where(no_end, xp.nan, last.t),
     )

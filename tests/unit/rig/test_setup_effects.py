@@ -469,6 +469,20 @@ def test_a_share_and_a_coefficient_together_are_refused(file):
     assert problems(file("[effects.rebound_damping]\nshare = 0.4\nb_N_s_per_m = 600\n"))
 
 
+@pytest.mark.parametrize("share", ["1.5", "-0.1", "inf", "nan", "1e999995", '"x"', "true"])
+@pytest.mark.parametrize("entry", ["{}", "{{ value = {} }}"])
+def test_what_is_no_share_is_told_in_a_line(file, share, entry):
+    (problem,) = problems(file(f"[effects.rebound_damping]\nshare = {entry.format(share)}\n"))
+    assert problem.startswith("[effects.rebound_damping] share: expected a number >= 0 and <= 1")
+
+
+def test_a_share_of_no_number_is_told_with_that(file):
+    """An endless damper on approach, of which a share of nothing is no number."""
+    path = file("[effects.rebound_damping]\nshare = 0\n")
+    path.write_text(path.read_text().replace("b_N_s_per_m = 1500", "b_N_s_per_m = inf"))
+    assert any(x.startswith("[contact] b_N_s_per_m: expected") for x in problems(path))
+
+
 def test_duration_of_the_pusher_is_its_effect(file, tmp_path):
     """46 ms beside the stroke are 0.046 s in the effect's table, bounds and errors with them."""
     table = "{ value = 46, standard_error = 2, lower = 30, upper = 60 }"
