@@ -11,7 +11,7 @@ from difffric.rig import catalogue
 from difffric.rig.rig import spring_damper_rig
 from difffric.simulation.columns import VELOCITY, differentiate_columns, serves
 from difffric.simulation.events import Regime
-from difffric.simulation.observables import observe
+from difffric.simulation.observables import observe, regime_of
 from difffric.simulation.stepping.integrator import RungeKutta
 from difffric.simulation.trajectory import simulate
 from tests.reference import effect_cases
@@ -122,6 +122,37 @@ def test_all_three_together_are_the_stepper_s():
         np.testing.assert_allclose(a.peak_force, b.peak_force, rtol=1e-8)
         np.testing.assert_allclose(a.sliding_distance, b.sliding_distance, rtol=1e-6)
         assert int(a.contacts) == int(b.contacts)
+
+
+@pytest.mark.parametrize("integrator", [None, RungeKutta()], ids=["closed", "stepper"])
+def test_a_latch_that_closes_makes_a_push_of_another_kind(integrator):
+    """d jumps there, and a search for roots must know: a threshold beyond F_p is never reached."""
+    low, high = (
+        observe(
+            make_rig(
+                {**RIG, "release_latch.threshold_N": level, "stroke_m": 1e-3}.get, "release_latch"
+            ),
+            jnp.asarray(0.01),
+            integrator,
+        )
+        for level in (12.0, 1e4)
+    )
+    assert (low.peak_force, low.contacts) == (high.peak_force, high.contacts)
+    assert int(low.kind) != int(high.kind)
+    assert float(low.sliding_distance) > 2 * float(high.sliding_distance)
+    assert int(regime_of(np.asarray(low.kind))) == int(low.regime)
+
+
+@pytest.mark.parametrize("b_r", [3e4, 4e4])
+def test_a_damper_beyond_all_measure_is_the_stepper_s(b_r):
+    """On either side of b_r k_v = k m, beyond which a part that was let go is not held again. (With
+    ten times as much the stepper says that it cannot follow.)"""
+    at = {**RIG, "k_v_N_s_per_m": 60.0, "k_N_per_m": 1e5, "stroke_m": 1e-3}
+    rig = make_rig({**at, "rebound_damping.b_N_s_per_m": b_r}.get, "rebound_damping")
+    a, b = (observe(rig, jnp.asarray(0.02), x) for x in (None, RungeKutta()))
+    assert int(a.reason) == int(b.reason)
+    np.testing.assert_allclose(a.peak_force, b.peak_force, rtol=1e-8)
+    np.testing.assert_allclose(a.sliding_distance, b.sliding_distance, rtol=1e-6)
 
 
 def test_no_loss_on_rebound_is_the_plain_contact():
