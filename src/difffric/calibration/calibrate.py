@@ -32,7 +32,7 @@ from difffric.measurements.reduction.reduce import reduce_recordings
 from difffric.progress import Tell, silent
 from difffric.rig.rig import Rig
 from difffric.rig.setup import Setup, check_rig
-from difffric.simulation.segments import Integrator, default_integrator
+from difffric.simulation.segments import Integrator
 
 
 def fit(
@@ -89,7 +89,7 @@ def fit(
         free_start,
         robust,
         several_starts,
-        integrator or default_integrator(rig),
+        integrator,
     )
     if isinstance(data, Recordings):
         recordings = check_data(data, rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
@@ -126,7 +126,7 @@ class _Wishes:
     free_start: bool
     robust: bool
     several_starts: bool
-    integrator: Integrator
+    integrator: Integrator | None
 
 
 @dataclass(frozen=True)

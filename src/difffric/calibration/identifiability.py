@@ -19,7 +19,6 @@ from difffric.measurements.pushes import Pushes
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
 from difffric.rig.setup import Setup, check_rig
-from difffric.simulation.segments import default_integrator
 
 ASSUMED = 0.01
 """The relative standard error of F_p and d where neither the pushes nor the sensors say one."""
@@ -105,7 +104,7 @@ def identifiable(
     scatter = USUAL_SCATTER if setup.mu_s_scatter is None else setup.mu_s_scatter
     scatter = scatter if "mu_s" in names else 0.0
     spread_rig, data = design_data(base, pushes)
-    model = Model(spread_rig, default_integrator(base), arranged, scatter, False)
+    model = Model(spread_rig, None, arranged, scatter, False)
     theta = arranged.start
     derivatives, answers = responses(
         model, data, theta, data.pushes, arranged.fixed, arranged.selection

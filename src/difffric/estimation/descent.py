@@ -47,6 +47,7 @@ class Model:
 
     rig: Rig
     integrator: Any
+    """None: the one that suits the rig"""
     layout: Layout
     scatter: float
     """known, or where its estimate starts"""
@@ -221,10 +222,11 @@ def _run_programs(problem: Problem, start: FitPoint, steps: int, kind: str) -> E
 
 
 def goes_in_columns(model: Model, data: FitData) -> bool:
-    """Whether pushes are followed by NumPy, with nothing compiled: whole recordings, and what is
-    searched in few steps."""
-    few = data.kind == RECORDINGS or data.in_few_steps
-    return few and serves(model.rig, model.integrator)
+    """Whether pushes are followed by NumPy, with nothing compiled: whole recordings by the closed
+    form, tables that are searched in few steps and those whose friction bends with the speed."""
+    affine = model.rig.affine  # what bends is stepped through sooner than its program is compiled
+    wanted = affine if data.kind == RECORDINGS else data.in_few_steps or not affine
+    return wanted and serves(model.rig, model.integrator)
 
 
 def _list_moving(model: Model) -> list[int]:

@@ -25,7 +25,7 @@ from difffric.rig.setup import Setup
 from difffric.simulation.events import Regime
 from difffric.simulation.families import MU_S, SPEEDS_MM_MIN
 from difffric.simulation.observables import regime_of
-from difffric.simulation.segments import Integrator, default_integrator
+from difffric.simulation.segments import Integrator
 from difffric.units import from_mm_min
 
 if TYPE_CHECKING:
@@ -113,7 +113,6 @@ class ResolvedPushes:
         conditions, which = np.unique(np.array(pushes.condition, object), return_inverse=True)
         found = [known.of(condition) for condition in conditions]
         roots = np.stack([root_of(covariance) for _, covariance in found])
-        integrator = integrator or default_integrator(known.rig)
         if range_ratio is None:
             free = pushes.free_slides
             range_ratio = np.nan if free else _find_range_ratio(known, integrator)

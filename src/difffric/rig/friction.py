@@ -31,6 +31,9 @@ class AbstractFriction(NumberTree, abc.ABC):
 
     continues: ClassVar[bool] = False
     """whether `sliding` is smooth a little beyond u = 0, where a step may look for the halt"""
+    bends_smoothly: ClassVar[bool] = False
+    """whether the speed alone bends it, smoothly, in functions of `compute.arrays`: such a law can
+    be stepped through without JAX"""
 
     @abc.abstractmethod
     def sliding(self, u: Number, F_N: Number) -> Number:
@@ -73,6 +76,7 @@ class ViscousCoulomb(AbstractFriction):
     k_v: Number = 0.0
     affine: ClassVar[bool] = True
     continues: ClassVar[bool] = True
+    bends_smoothly: ClassVar[bool] = True
 
     @property
     def mu_k(self) -> Number:
@@ -103,6 +107,11 @@ class AbstractFrictionEffect(AbstractFriction):
     @property
     def continues(self) -> bool:
         return self.law.continues
+
+    @property
+    def bends_smoothly(self) -> bool:
+        """An effect that bends its law otherwise sets this to False."""
+        return self.law.bends_smoothly
 
     def sliding(self, u: Number, F_N: Number) -> Number:
         return self.law.sliding(u, F_N)
@@ -181,6 +190,7 @@ class Waviness(AbstractFrictionEffect):
     phase: Number = 0.0
     affine: ClassVar[bool] = False
     uneven: ClassVar[bool] = True
+    bends_smoothly: ClassVar[bool] = False
 
     def load(self, weight: Number, x: Number, beyond: Truth) -> Number:
         wave, _ = sin_cos(2 * pi * x / self.wavelength + self.phase)
@@ -198,6 +208,7 @@ class Patch(AbstractFrictionEffect):
     start: Number = inf
     affine: ClassVar[bool] = False
     uneven: ClassVar[bool] = True
+    bends_smoothly: ClassVar[bool] = False
 
     def load(self, weight: Number, x: Number, beyond: Truth) -> Number:
         return self.law.load(weight, x, beyond) * (1 + xp.where(beyond, self.amplitude, 0.0))
@@ -257,6 +268,7 @@ class Dwell(AbstractFrictionEffect):
     rest: Number = 0.0
     affine: ClassVar[bool] = False
     uneven: ClassVar[bool] = True
+    bends_smoothly: ClassVar[bool] = False
 
     def first_breakaway(self, F_N: Number) -> Number:
         grown = 1 + self.amplitude * xp.log1p(self.rest / self.tau)
@@ -278,6 +290,7 @@ class Presliding(AbstractFrictionEffect):
     """1 / sigma_0 [m/N]"""
     sigma_1: Number = 0.0
     affine: ClassVar[bool] = False
+    bends_smoothly: ClassVar[bool] = False
 
     def bend(self, u: Number, way: Number, q: Number, F_N: Number) -> tuple[Number, Number]:
         """(friction force [N], q' [m/s]) at the deflection q [m], where u has the sign `way`."""

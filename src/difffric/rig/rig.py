@@ -45,9 +45,18 @@ class Rig(NumberTree):
     @property
     def affine(self) -> bool:
         """Whether every segment of a push has a closed form, and what is read of it too."""
-        laws = self.friction.affine and self.contact.affine and self.pusher.constant
+        return self.friction.affine and self._is_affine_but_for_friction
+
+    @property
+    def bends_smoothly(self) -> bool:
+        """Whether every law is affine but friction, which the speed alone may bend."""
+        return self.friction.bends_smoothly and self._is_affine_but_for_friction
+
+    @property
+    def _is_affine_but_for_friction(self) -> bool:
         sensor = self.force_sensor
-        return laws and not (sensor.filtered or sensor.sampled or self.probe.looked_up)
+        looks_back = sensor.filtered or sensor.sampled or self.probe.looked_up
+        return self.contact.affine and self.pusher.constant and not looks_back
 
     @property
     def sensor_errors(self) -> tuple[float | None, float | None]:

@@ -1,8 +1,9 @@
 """Many pushes in columns, by plain NumPy: F_p, d and their exact derivatives where every law is
-affine, in a process that needs no JAX.
+affine, or friction's alone bends with the speed, in a process that needs no JAX.
 
 The equations are those that JAX compiles (`closed_form`, `segments`), and so are the answers, to
-rounding. Some thousand pushes take less time than a compiled program takes to load.
+rounding, or to the tolerance of steps. Some thousand pushes take less time than a compiled program
+takes to load.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from difffric.rig.rig import Rig
 from difffric.simulation.closed_form import ClosedForm
 from difffric.simulation.observables import Observables, observe_segments
 from difffric.simulation.segments import Push
+from difffric.simulation.stepping.stepped_legs import SteppedLegs
 
 VELOCITY = "velocity_m_per_s"
 """The name of the pusher's speed among the parameters of derivatives."""
@@ -34,10 +36,11 @@ cache."""
 
 
 def serves(rig: Rig, integrator: Any = None) -> bool:
-    """Whether pushes of the rig can be followed in columns: by the closed form, all laws affine
-    and this library's own, as a user's may ask for JAX, and no number of it JAX's."""
-    closed = integrator is None or isinstance(integrator, ClosedForm)
-    return closed and rig.affine and rig.only_own_laws and not xp.uses_jax(*list_leaves(rig))
+    """Whether pushes of the rig can be followed in columns: by the closed form or by stepped legs,
+    all laws this library's own, as a user's may ask for JAX, and no number of it JAX's."""
+    smooth = rig.affine or rig.bends_smoothly
+    own = integrator is None or isinstance(integrator, ClosedForm)
+    return own and smooth and rig.only_own_laws and not xp.uses_jax(*list_leaves(rig))
 
 
 def observe_columns(rig: Rig, velocity: Any) -> Observables:
@@ -81,7 +84,8 @@ def differentiate_columns(
 def _observe(given: tuple[Rig, Any], n: int) -> Observables:
     rig, velocity = given
     with np.errstate(all="ignore"):  # what a choice leaves aside may be no number
-        push = Push(rig, spread(rig.pusher.speed(velocity), n), ClosedForm())
+        legs = ClosedForm() if rig.affine else SteppedLegs()
+        push = Push(rig, spread(rig.pusher.speed(velocity), n), legs)
         return spread(observe_segments(push, push.last_state()), n)
 
 

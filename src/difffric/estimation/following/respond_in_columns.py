@@ -1,7 +1,8 @@
 """What `residuals` asks of the model, by plain NumPy: all pushes at once and nothing compiled.
 
-It serves where every law is affine (`simulation.columns`). Only the coordinates that move are
-differentiated: a push's own mu_s alone costs a fraction of what a whole Jacobian does.
+It serves where `simulation.columns` does; whole recordings, where every law is affine. Only the
+coordinates that move are differentiated: a push's own mu_s alone costs a fraction of what a whole
+Jacobian does.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from difffric.rig.rig import Rig
 from difffric.simulation.column_traces import ColumnTraces, follow_columns
 from difffric.simulation.columns import observe_columns
 from difffric.simulation.oscillator import ViscousSlide
+from difffric.simulation.stepping.stepped_legs import SteppedLegs
 
 
 def respond_in_columns(rig: Rig, pushes: Any, coordinates: NDArray, moving: Sequence[int]) -> Rows:
@@ -102,8 +104,11 @@ def _respond_slides(pushes: SlidePush, moved: _Moved) -> Rows:
     """The distances of free slides."""
     at = moved.rig()
     v: Any = np.asarray(pushes.release_velocity, float)
-    slide = ViscousSlide(-at.free(0.0), -xp.slope(at.free, *moved.columns))
-    d, dd = moved.split(slide.rest(v)[1])
+    if at.affine:
+        slid = ViscousSlide(-at.free(0.0), -xp.slope(at.free, *moved.columns)).rest(v)[1]
+    else:
+        slid = SteppedLegs().follow_free(at, 0.0, v, 0.0, np.inf, may_catch=False).slid
+    d, dd = moved.split(slid)
     measured = np.asarray(pushes.measured, float)
     there = ~np.isnan(measured)
     r = np.where(there, measured - d[:, None], 0.0)
