@@ -137,7 +137,7 @@ class Push:
 
     @property
     def sliding_distance(self) -> float:
-        """d [m]; NaN where the part rests in contact"""
+        """d [m]; NaN where the part rests in contact, and no latch counts"""
         d = self.course.sliding_distance
         return math.nan if d is None else d
 

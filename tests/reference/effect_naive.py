@@ -144,7 +144,7 @@ def push(c, step, path):
     peak = min(max(c[35] * peak + c[36], -c[39]), c[39])
     lost = latched if latched >= 0 else lost
     distance = math.nan
-    if not touching:
+    if not touching or latched >= 0:
         late = lost - c[44] / step
         low = math.floor(late)
         share = late - low

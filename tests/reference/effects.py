@@ -308,7 +308,7 @@ def answer(numbers_of):
     if counts[REASON] > 0:
         return math.nan, math.nan, counts
     distance = math.nan
-    if counts[REGIME] >= 2:
+    if counts[REGIME] >= 2 or counts[LATCHED] != 0:  # a latch counts to rest, wherever that is
         lost = numbers[X_LOSS]
         if p[DELAY] > 0:  # the probe shows where the part was a delay ago
             when, forces, positions = np.zeros(1), np.zeros(1), np.zeros(1)

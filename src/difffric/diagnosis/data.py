@@ -121,7 +121,7 @@ def _extend_by_all(
     plain = parameters.with_stroke(rig, 1.0)
     coordinates = Coordinates.of(extended(plain, every))
     whole = extended(plain, {e: keys for e, keys in every.items() if e != PRESLIDING})
-    return ExtendedModel(coordinates, whole, pushes, kind)
+    return ExtendedModel(coordinates, whole, pushes, kind, plain=plain)
 
 
 def _stack_table(

@@ -7,8 +7,9 @@ be the inverse of the one that files write: an effect that is absent is then a r
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from typing import Any
 
 import jax.numpy as jnp
@@ -172,10 +173,18 @@ class Coordinates:
 
     def without(self, effect: str) -> Coordinates:
         """The coordinates without those of an effect's numbers."""
-        keep = [k for k, name in enumerate(self.names) if name.partition(".")[0] != effect]
+        return self._keep(name.partition(".")[0] != effect for name in self.names)
+
+    def only(self, effects: Collection[str]) -> Coordinates:
+        """The plain parameters' coordinates, and those of these effects' numbers."""
+        return self._keep(name in PLAIN or name.partition(".")[0] in effects for name in self.names)
+
+    def _keep(self, which: Iterable[bool]) -> Coordinates:
+        """Some of the coordinates, by whether each is kept."""
+        keep = list(which)
 
         def of(column: tuple) -> tuple:
-            return tuple(column[k] for k in keep)
+            return tuple(compress(column, keep))
 
         return Coordinates(of(self.names), of(self.null), of(self.unit))
 

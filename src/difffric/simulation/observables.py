@@ -83,12 +83,16 @@ def observe_steps(loop: StepLoop, m: LoopState) -> Observables:
     lost_track = m.lost_track | ~m.over | ~xp.isfinite(m.peak)
     for_ever = m.endless & ~c.stopped
     left = m.lost & ~c.touching
+    sensor, probe = rig.force_sensor, rig.probe
+    latched = False  # a latch counts to rest, wherever that is
+    if m.sensed and probe.late:
+        latched = m.sensed.crossed & xp.isfinite(probe.latch)
     reason = _first_of(
         [
             (too_many, Reason.TOO_MANY_CONTACTS),
             (lost_track, Reason.NOT_FOLLOWED),
             (for_ever, Reason.NEVER_RELEASED),
-            (~left, Reason.RESTS_IN_CONTACT),
+            (~(left | latched), Reason.RESTS_IN_CONTACT),
         ],
         Reason.OK,
     )
@@ -100,15 +104,12 @@ def observe_steps(loop: StepLoop, m: LoopState) -> Observables:
         ],
         Regime.RELEASED_AT_STOP,
     )
-    sensor, probe = rig.force_sensor, rig.probe
     peak = m.sensed.peak if m.sensed and (sensor.filtered or sensor.sampled) else m.peak
     x, x_lost = loop.motion.position(m.s), m.x_lost
     if loop.motion.bristles is not None:
         # Let go, the bristles stand upright, but for what holds the part on a slope.
         x = x - m.s.q - rig.slope / loop.motion.bristles.stiffness
-    latched = False
     if m.sensed and probe.late:
-        latched = m.sensed.crossed & xp.isfinite(probe.latch)
         x_lost = xp.where(m.sensed.crossed, m.sensed.x_lost, x_lost)
     no_end = too_many | lost_track | for_ever | m.endless
     return Observables(
@@ -156,13 +157,15 @@ def observe_segments(push: Push, state: State) -> Observables:
     left = state.lost & ~state.in_contact
     # Behind a standing tip an overdamped rebound comes to rest too, if only asymptotically.
     for_ever = state.endless & (state.segment.v_p > 0)
+    last, latch = state.segment, state.latch
+    latched = False if latch is None else latch.closed  # it counts to rest, wherever that is
     reason = _first_of(
         [
             (lost_track, Reason.NOT_FOLLOWED),
             (too_many, Reason.TOO_MANY_CONTACTS),
             (too_long, Reason.TOO_MANY_CYCLES),
             (for_ever, Reason.NEVER_RELEASED),
-            (~left, Reason.RESTS_IN_CONTACT),
+            (~(left | latched), Reason.RESTS_IN_CONTACT),
             (state.endless, Reason.NEVER_RESTS),
         ],
         Reason.OK,
@@ -179,7 +182,6 @@ def observe_segments(push: Push, state: State) -> Observables:
     peak = push.rig.force_sensor.read(state.peak)
     slid = push.rig.probe.read(state.slid)
     no_end = lost_track | too_many | too_long | state.endless
-    last, latch = state.segment, state.latch
     if latch is not None:
         since = push.rig.probe.read(last.y - last.z) - push.rig.probe.read(latch.x)
         slid = xp.where(latch.closed, since, slid)
@@ -192,7 +194,7 @@ def observe_segments(push: Push, state: State) -> Observables:
         regime=regime,
         stuck_first=state.stuck_first,
         contacts=state.contacts,
-        kind=_kind(regime, state.stuck_first, False if latch is None else latch.closed, *counts),
+        kind=_kind(regime, state.stuck_first, latched, *counts),
         displacement=xp.where(no_end, xp.nan, last.y - last.z),
         duration=xp.where(no_end, xp.nan, last.t),
     )

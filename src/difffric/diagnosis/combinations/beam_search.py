@@ -1,0 +1,198 @@
+"""The combination of causes that explains a table best, looked for on many sides at once.
+
+From the barest contact, a spring, one part is added after the other: the dampers of equations (1)
+and (2), which count like any other, and the effects of the catalogue. At each stage the best few
+combinations go on, each with every part that it lacks, from every size that this may have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations, product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.diagnosis.combinations.robust_descent import KnownFriction, Points
+from difffric.diagnosis.starting_values import list_starting_values
+from difffric.estimation.effect_coordinates import PLAIN
+from difffric.progress import Tell, silent
+from difffric.rig.catalogue import numbers_of
+from difffric.rig.scales import Scales
+
+DAMPING, VISCOSITY = "b_N_s_per_m", "k_v_N_s_per_m"
+"""The parts of the plain model that may be missing."""
+STIFFNESS = "k_N_per_m"
+MOST = 5
+"""Parts beside the spring at most."""
+_BEAM = 8
+"""Combinations that go on to the next stage."""
+_PAIRED, _PAIRS_UP_TO = 3, 4
+"""Combinations that are also tried with two parts more at once, as one may show only beside another
+and up to how many parts."""
+_FEW = 4
+"""Sizes of a part that are tried beside another one."""
+_RANKED, _EACH = 48, 2
+"""Points of a stage that are worth a descent, and how many of one combination."""
+_FIRST, _LAST = 4, 10
+"""Steps of it, and of the best ones' after that."""
+_FINALISTS = 14
+"""Combinations that get those."""
+_SOFTER = (0.7, 0.85, 1.0, 1.2)
+"""Shares of the given stiffness from which the search starts."""
+_NONE = -30.0
+"""The logarithm of a damping that is none."""
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A spring with some parts, where it fits best."""
+
+    parts: frozenset[str]
+    """effects of the catalogue, and the plain model's own dampers"""
+    points: Points
+    """the one where it fits best"""
+    cost: float
+    penalised: float
+    """with what its numbers would buy in any case"""
+
+
+class _Start(NamedTuple):
+    """Where a combination is looked for."""
+
+    parts: frozenset[str]
+    c: NDArray
+    """(K,)"""
+    free: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class BeamSearch:
+    """What a search is given."""
+
+    table: KnownFriction
+    scales: Scales
+    effects: Sequence[str]
+    """those that are looked for"""
+    base: NDArray
+    """(K,) coordinates of the plain rig as it was given"""
+    tell: Tell = silent
+
+    @property
+    def price(self) -> float:
+        """What one number must buy (Schwarz's criterion)."""
+        return float(np.log(2 * len(self.table.log_mu)))
+
+    def run(self) -> list[list[Combination]]:
+        """The combinations of each stage, the best first: the spring alone, one part, two, ..."""
+        stages = [self._start()]
+        for count in range(1, MOST + 1):
+            self.tell(f"combinations of {count}", 0.9 * (count - 1) / MOST)
+            starts = self._add_parts(stages[-1], 1)
+            if 1 < count <= _PAIRS_UP_TO:
+                starts += self._add_parts(stages[-2][:_PAIRED], 2)
+            stages.append(self._choose(starts))
+        return stages
+
+    def refine(self, one: Combination) -> Combination:
+        """The combination at its optimum, as far as a longer descent leads."""
+        points, cost = self.table.descend(one.points, 3 * _LAST)
+        return self._make(one.parts, points, float(cost[0]))
+
+    def leave_out(self, one: Combination, part: str) -> Combination:
+        """The combination without one of its parts, all else fitted anew."""
+        c = one.points.c.copy()
+        index = self._list_numbers(part)
+        c[0, index] = _NONE if part == DAMPING else 0.0
+        free = tuple(i for i in one.points.free[0] if i not in index)
+        points, cost = self.table.descend(Points(c, (free,)), 2 * _LAST)
+        return self._make(one.parts - {part}, points, float(cost[0]))
+
+    def _start(self) -> list[Combination]:
+        """The spring alone."""
+        names = self.table.model.coordinates.names
+        c = np.repeat(self.base[None], len(_SOFTER), axis=0)
+        c[:, names.index(DAMPING)] = _NONE
+        c[:, names.index(VISCOSITY)] = 0.0
+        c[:, names.index(STIFFNESS)] += np.log(_SOFTER)
+        free = (names.index(STIFFNESS),)
+        points, cost = self.table.descend(Points(c, (free,) * len(c)), _LAST)
+        best = np.argmin(cost)
+        return [self._make(frozenset(), points.pick(np.array([best])), float(cost[best]))]
+
+    def _add_parts(self, beam: list[Combination], count: int) -> list[_Start]:
+        """Every combination with so many parts more, from all sizes of these."""
+        starts = []
+        for one in beam:
+            for more in combinations(self._list_missing(one), count):
+                index = [i for part in more for i in self._list_numbers(part)]
+                some = [self._list_sizes(part) for part in more]
+                if count > 1:
+                    some = [_thin(sizes) for sizes in some]
+                for sizes in product(*some):
+                    c = one.points.c[0].copy()
+                    c[index] = np.concatenate(sizes)
+                    starts.append(_Start(one.parts | set(more), c, (*one.points.free[0], *index)))
+        return starts
+
+    def _choose(self, starts: list[_Start]) -> list[Combination]:
+        """The best combinations, each where it fits best."""
+        points = Points(np.array([s.c for s in starts]), tuple(s.free for s in starts))
+        parts = [s.parts for s in starts]
+        order = np.argsort(self.table.measure_costs(points), kind="stable")
+        some = _take_few(order, parts, _RANKED)
+        points, cost = self.table.descend(points.pick(some), _FIRST)
+        parts = [parts[j] for j in some]
+        worth = cost + self.price * np.array([len(f) for f in points.free])
+        order = np.argsort(worth, kind="stable")
+        some = _take_few(order, parts, _FINALISTS, each=1)
+        points, cost = self.table.descend(points.pick(some), _LAST)
+        found = [
+            self._make(parts[j], points.pick(np.array([i])), float(cost[i]))
+            for i, j in enumerate(some)
+        ]
+        return sorted(found, key=lambda one: one.penalised)[:_BEAM]
+
+    def _list_missing(self, one: Combination) -> list[str]:
+        every = (DAMPING, VISCOSITY, *self.effects)
+        return [part for part in every if part not in one.parts]
+
+    def _list_numbers(self, part: str) -> list[int]:
+        names = (part,) if part in PLAIN else numbers_of(part)
+        return self.table.model.coordinates.indices(names)
+
+    def _list_sizes(self, part: str) -> list[list[float]]:
+        """The coordinates from which a part is looked for."""
+        coordinates, s = self.table.model.coordinates, self.scales
+        critical = 2 * np.sqrt(s.mass * s.peak / s.compression)
+        if part == DAMPING:
+            return [coordinates.point({part: x * critical}) for x in (0.03, 0.1, 0.3)]
+        if part == VISCOSITY:
+            return [coordinates.point({part: x * s.peak / s.fastest}) for x in (1e-3, 1e-2)]
+        return [coordinates.point(values) for values in list_starting_values(part, s)]
+
+    def _make(self, parts: frozenset[str], points: Points, cost: float) -> Combination:
+        return Combination(parts, points, cost, cost + self.price * len(points.free[0]))
+
+
+def _thin(sizes: list[list[float]]) -> list[list[float]]:
+    """A few of some sizes, from one end to the other."""
+    which = np.linspace(0, len(sizes) - 1, min(len(sizes), _FEW)).round().astype(int)
+    return [sizes[k] for k in which]
+
+
+def _take_few(
+    order: NDArray, parts: Sequence[frozenset[str]], most: int, each: int = _EACH
+) -> NDArray:
+    """The first of some points in their order, so many of one combination at most."""
+    taken: dict[frozenset[str], int] = {}
+    some = []
+    for j in order.tolist():
+        taken[parts[j]] = taken.get(parts[j], 0) + 1
+        if taken[parts[j]] <= each:
+            some.append(j)
+        if len(some) == most:
+            break
+    return np.array(some)
