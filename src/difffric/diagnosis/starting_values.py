@@ -38,6 +38,11 @@ def list_starting_values(effect: str, scales: Scales) -> list[dict[str, float]]:
     ]
 
 
+def find_contact_time(s: Scales) -> float:
+    """How long the part and the tip touch for, about [s]: half a period of the contact."""
+    return float(np.pi * np.sqrt(s.mass * s.compression / s.peak))
+
+
 def _grid_of(effect: str, s: Scales) -> Iterable[ArrayLike]:
     """Return the values of an effect's numbers: a number, or one for each of them, an item."""
     signs = (-1.0, 1.0)
@@ -72,7 +77,8 @@ def _grid_of(effect: str, s: Scales) -> Iterable[ArrayLike]:
         case "pusher_lag":
             return [1e-4, 5e-4, 2e-3, 8e-3]
         case "pusher_duration":
-            return [x * s.travel / v for v in (s.slowest, s.fastest) for x in (0.3, 0.6, 0.9)]
+            by_way = [x * s.travel / v for v in (s.slowest, s.fastest) for x in (0.3, 0.6, 0.9)]
+            return [*by_way, *(x * find_contact_time(s) for x in (1.5, 2.2, 2.6, 3.2))]
         case "force_lowpass":
             return [3e-5, 2e-4, 1e-3, 4e-3]
         case "force_highpass":

@@ -7,7 +7,7 @@ combinations go on, each with every part that it lacks, from every size that thi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 from typing import NamedTuple
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.diagnosis.combinations.robust_descent import KnownFriction, Points
-from difffric.diagnosis.starting_values import list_starting_values
+from difffric.diagnosis.starting_values import find_contact_time, list_starting_values
 from difffric.estimation.effect_coordinates import PLAIN
 from difffric.progress import Tell, silent
 from difffric.rig.catalogue import numbers_of
@@ -25,16 +25,18 @@ from difffric.rig.scales import Scales
 DAMPING, VISCOSITY = "b_N_s_per_m", "k_v_N_s_per_m"
 """The parts of the plain model that may be missing."""
 STIFFNESS = "k_N_per_m"
-MOST = 5
+MOST = 4
 """Parts beside the spring at most."""
 _BEAM = 8
 """Combinations that go on to the next stage."""
-_PAIRED, _PAIRS_UP_TO = 3, 4
+_PAIRED, _PAIRS_UP_TO = 3, 3
 """Combinations that are also tried with two parts more at once, as one may show only beside another
 and up to how many parts."""
 _FEW = 4
 """Sizes of a part that are tried beside another one."""
-_RANKED, _EACH = 48, 2
+_SURE = 2
+"""Combinations of which every extension is followed."""
+_RANKED, _EACH = 32, 2
 """Points of a stage that are worth a descent, and how many of one combination."""
 _FIRST, _LAST = 4, 10
 """Steps of it, and of the best ones' after that."""
@@ -42,6 +44,8 @@ _FINALISTS = 14
 """Combinations that get those."""
 _SOFTER = (0.7, 0.85, 1.0, 1.2)
 """Shares of the given stiffness from which the search starts."""
+_LONGEST = 5.0
+"""Contact times that a tip goes on for, at most."""
 _NONE = -30.0
 """The logarithm of a damping that is none."""
 
@@ -78,6 +82,8 @@ class BeamSearch:
     """those that are looked for"""
     base: NDArray
     """(K,) coordinates of the plain rig as it was given"""
+    dampers: Sequence[str] = (DAMPING, VISCOSITY)
+    """parts of the plain model that may be there"""
     tell: Tell = silent
 
     @property
@@ -93,7 +99,9 @@ class BeamSearch:
             starts = self._add_parts(stages[-1], 1)
             if 1 < count <= _PAIRS_UP_TO:
                 starts += self._add_parts(stages[-2][:_PAIRED], 2)
-            stages.append(self._choose(starts))
+            best = [one.parts for one in stages[-1][:_SURE]]
+            sure = {s.parts for s in starts if any(s.parts > x for x in best)}
+            stages.append(self._choose(starts, sure))
         return stages
 
     def refine(self, one: Combination) -> Combination:
@@ -137,12 +145,16 @@ class BeamSearch:
                     starts.append(_Start(one.parts | set(more), c, (*one.points.free[0], *index)))
         return starts
 
-    def _choose(self, starts: list[_Start]) -> list[Combination]:
+    def _choose(self, starts: list[_Start], sure: set[frozenset[str]]) -> list[Combination]:
         """The best combinations, each where it fits best."""
         points = Points(np.array([s.c for s in starts]), tuple(s.free for s in starts))
         parts = [s.parts for s in starts]
         order = np.argsort(self.table.measure_costs(points), kind="stable")
-        some = _take_few(order, parts, _RANKED)
+        # A part that only shows once all else has moved ranks low, but near its null: of the best
+        # combinations every extension is followed, from all sizes.
+        own = [s.parts in sure for s in starts]
+        more = _take_few([j for j in order if not own[j]], parts, _RANKED)
+        some = np.concatenate([np.flatnonzero(own), more])
         points, cost = self.table.descend(points.pick(some), _FIRST)
         parts = [parts[j] for j in some]
         worth = cost + self.price * np.array([len(f) for f in points.free])
@@ -156,7 +168,7 @@ class BeamSearch:
         return sorted(found, key=lambda one: one.penalised)[:_BEAM]
 
     def _list_missing(self, one: Combination) -> list[str]:
-        every = (DAMPING, VISCOSITY, *self.effects)
+        every = (*self.dampers, *self.effects)
         return [part for part in every if part not in one.parts]
 
     def _list_numbers(self, part: str) -> list[int]:
@@ -171,7 +183,11 @@ class BeamSearch:
             return [coordinates.point({part: x * critical}) for x in (0.03, 0.1, 0.3)]
         if part == VISCOSITY:
             return [coordinates.point({part: x * s.peak / s.fastest}) for x in (1e-3, 1e-2)]
-        return [coordinates.point(values) for values in list_starting_values(part, s)]
+        sizes = list_starting_values(part, s)
+        if part == "pusher_duration":  # a tip that goes on for long is none that a table shows
+            longest = _LONGEST * find_contact_time(s)
+            sizes = [values for values in sizes if max(values.values()) < longest]
+        return [coordinates.point(values) for values in sizes]
 
     def _make(self, parts: frozenset[str], points: Points, cost: float) -> Combination:
         return Combination(parts, points, cost, cost + self.price * len(points.free[0]))
@@ -184,15 +200,15 @@ def _thin(sizes: list[list[float]]) -> list[list[float]]:
 
 
 def _take_few(
-    order: NDArray, parts: Sequence[frozenset[str]], most: int, each: int = _EACH
+    order: Iterable[int], parts: Sequence[frozenset[str]], most: int, each: int = _EACH
 ) -> NDArray:
     """The first of some points in their order, so many of one combination at most."""
     taken: dict[frozenset[str], int] = {}
     some = []
-    for j in order.tolist():
+    for j in order:
         taken[parts[j]] = taken.get(parts[j], 0) + 1
         if taken[parts[j]] <= each:
             some.append(j)
         if len(some) == most:
             break
-    return np.array(some)
+    return np.array(some, int)

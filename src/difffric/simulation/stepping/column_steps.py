@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from difffric.compute import arrays as xp
 from difffric.compute.dual_numbers import plain
-from difffric.compute.event_root import find_falling_root
 from difffric.compute.lanes import pick_lanes, put_lanes, repeat_while, spread
 from difffric.compute.pytrees import map_tree
 from difffric.rig.rig import Rig
@@ -35,6 +34,8 @@ it."""
 _SHORTEST = 1e-9
 """Of the contact's time: a guard that rises and falls within a step as short as this falls at
 once."""
+_EXACT, _TRIES = 1e-13, 60
+"""An event's time is found to this share of its step; tries at most."""
 _NEAR = 0.1
 """A guard that dips to less than this share of what it has at a step's ends may have fallen."""
 _BEYOND = 0.02
@@ -165,18 +166,40 @@ def follow_leg(mode: LegMode, course: Course, z: Any, u: Any) -> LegEnd:
     return _arrive(mode, course, walk, until)
 
 
+class _Bracket(NamedTuple):
+    """Where the search for a root stands, and between which times it lies."""
+
+    t: Any
+    lo: Any
+    hi: Any
+    moves: Any
+    """whether the last step was worth taking"""
+    count: Any
+
+
 def find_root(
     accelerate: Acceleration, look: Look, course: Course, z: Any, u: Any, h: Any
 ) -> NDArray:
-    """When a guard falls within a step of h [s] from (z, u), as a plain number."""
+    """When a guard falls within a step of h [s] from (z, u), as a plain number, by Newton's steps
+    within a bracket.
+
+    It is exact to a share of the step and not of itself (as `event_root` has it): what lies beside
+    the step's start is known no better.
+    """
     firm = map_tree(plain, (course._replace(until=0.0), z, u))
 
-    def look_at(t: Any, args: Any) -> tuple[Any, Any]:
-        course, z, u = args
-        z_1, u_1, _ = take_step(accelerate, course, z, u, accelerate(course, z, u), t)
-        return look(course, z_1, u_1, accelerate(course, z_1, u_1))
+    def improve(s: _Bracket, firm: Any, h: NDArray) -> _Bracket:
+        course, z, u = firm
+        z_1, u_1, _ = take_step(accelerate, course, z, u, accelerate(course, z, u), s.t)
+        value, rate = look(course, z_1, u_1, accelerate(course, z_1, u_1))
+        lo, hi = np.where(value > 0, s.t, s.lo), np.where(value > 0, s.hi, s.t)
+        t = s.t - value / np.where(rate == 0, -1e-300, rate)
+        t = np.where((t >= lo) & (t <= hi), t, 0.5 * (lo + hi))
+        return _Bracket(t, lo, hi, np.abs(t - s.t) > _EXACT * h, s.count + 1)
 
-    return find_falling_root(look_at, firm, np.zeros_like(h), h, 0.5 * h)
+    h = np.asarray(h, float)
+    start = _Bracket(0.5 * h, np.zeros_like(h), h, h > 0, np.zeros(h.shape, int))
+    return repeat_while(lambda s: s.moves & (s.count < _TRIES), improve, start, firm, h).t
 
 
 def _walk_on(mode: LegMode, walk: _Walk, course: Course, until: NDArray) -> _Walk:
