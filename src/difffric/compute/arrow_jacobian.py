@@ -99,11 +99,11 @@ class Evaluation(NamedTuple):
 
 
 def search_minimum(
-    evaluate: Callable[[NDArray], Evaluation], x: NDArray, most: int
+    evaluate: Callable[[NDArray], Evaluation], x: NDArray, most: int, worth: float = 0.0
 ) -> tuple[NDArray, Evaluation, int]:
     """(x, the model there, steps) near `x` where the sum of squares is least, after `most` steps at
     most, of which the first is the look at `x` itself. The search ends where the model gives no
-    number for a step."""
+    number for a step, and after one that brings the sum down by less than is `worth` it."""
     with np.errstate(all="ignore"):  # what is no number is refused
         here, at, region, refused, steps = evaluate(x), x, 1.0, 0, 1
         trial = x - here.jacobian.solve(here.r, 1.0)
@@ -114,6 +114,7 @@ def search_minimum(
             region *= gain.factor
             if gain.accepted:
                 arrived = _is_arrived(trial, trial - at, found.r, found.r - here.r)
+                arrived |= here.r @ here.r - found.r @ found.r < worth
                 at, here, refused = trial, found, 0
             else:
                 refused += 1

@@ -37,6 +37,8 @@ ARRIVED = 1e-4
 """A fit has arrived where less than this is left to gain in chi-square."""
 
 
+_WORTH = 1e-6
+"""What a step through stepped pushes, which takes long, has to gain in chi-square."""
 _BOUNDINGS = 2
 """Times that start offsets are looked at after a search: holding one may drive out another."""
 
@@ -198,8 +200,9 @@ def _search_near(model: Model, data: FitData, problem: Problem, start: FitPoint,
     if goes_in_columns(model, data):
         pushes, moving = pytrees.pick(data.pushes, slice(data.n)), _list_moving(model)
         directions = len(moving)
+        worth = 0.0 if model.rig.affine else _WORTH
         end = minimise_stepwise(
-            problem, start, steps, lambda c: respond_in_columns(model.rig, pushes, c, moving)
+            problem, start, steps, lambda c: respond_in_columns(model.rig, pushes, c, moving), worth
         )
     else:
         directions = problem.fixed.shape[1]

@@ -93,11 +93,15 @@ def spread_coordinates(problem: Problem, point: FitPoint) -> Float[Array, "pushe
 
 
 def minimise_stepwise(
-    problem: Problem, start: FitPoint, steps: int, follow: Callable[[NDArray], Any]
+    problem: Problem,
+    start: FitPoint,
+    steps: int,
+    follow: Callable[[NDArray], Any],
+    worth: float = 0.0,
 ) -> End:
     """The conditional mode near `start`, after `steps` steps at most, by the same method with its
     steps taken outside a compiled program: `follow` gives the pushes' `Rows` at their coordinates
-    (n, K)."""
+    (n, K). A step that gains less than is `worth` it in chi-square is the last."""
     n, P = problem.fixed.shape[0], problem.prior.shape[0]
 
     def unpack(x: NDArray) -> FitPoint:
@@ -108,7 +112,9 @@ def minimise_stepwise(
         rows, model, jumps = map(np.asarray, follow(spread_coordinates(problem, point)))
         return Evaluation(*_weigh(problem, point, rows), (rows, model, jumps))
 
-    x, found, steps = search_minimum(evaluate, np.concatenate(start), min(steps, MAX_STEPS))
+    x, found, steps = search_minimum(
+        evaluate, np.concatenate(start), min(steps, MAX_STEPS), worth * float(problem.trust) ** 2
+    )
     rows, model, jumps = found.aux
     chi2 = np.sum(found.r**2) / problem.trust**2
     return End(unpack(x), rows, model, jumps, chi2, steps)

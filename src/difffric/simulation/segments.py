@@ -216,15 +216,20 @@ class Push(NamedTuple):
         return Segment(xp.asarray(mode), t, y, xp.where(stops, 0.0, v_p), z, u)
 
     def _watch(self, state: State, leg: Leg, closing: bool) -> ForceLatch | None:
-        """The latch after a pushed leg."""
+        """The latch after a pushed leg; one that is closed looks no more."""
         if state.latch is None:
             return None
-        s, rig = state.segment, self.rig
-        start = s.z, s.u, s.v_p
-        fall = self.integrator.find_force_fall(rig, closing, *start, leg.dt)
-        t = xp.where(xp.isfinite(fall.time), fall.time, 0.0)
-        z, _ = self.integrator.evaluate_pushed(rig, xp.full_like(s.z, closing, bool), *start, t)
-        return state.latch.follow(rig.probe.latch, fall, s.y - s.z, s.y + s.v_p * t - z)
+
+        def watch(latch: ForceLatch, s: Segment, dt: Number, push: Push) -> ForceLatch:
+            rig, start = push.rig, (s.z, s.u, s.v_p)
+            fall = push.integrator.find_force_fall(rig, closing, *start, dt)
+            t = xp.where(xp.isfinite(fall.time), fall.time, 0.0)
+            pushed = xp.full_like(s.z, closing, bool)
+            z, _ = push.integrator.evaluate_pushed(rig, pushed, *start, t)
+            return latch.follow(rig.probe.latch, fall, s.y - s.z, s.y + s.v_p * t - z)
+
+        open_ = ~state.latch.closed
+        return change_where(open_, watch, state.latch, state.segment, leg.dt, self)
 
     def _watch_still(self, state: State, first: Number, last: Number) -> ForceLatch | None:
         """The latch after a leg in which the force only rises, or is none."""

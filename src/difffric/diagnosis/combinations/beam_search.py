@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from difffric.diagnosis.combinations.robust_descent import KnownFriction, Points
 from difffric.diagnosis.starting_values import find_contact_time, list_starting_values
 from difffric.estimation.effect_coordinates import PLAIN
 from difffric.progress import Tell, silent
-from difffric.rig.catalogue import numbers_of
+from difffric.rig.catalogue import RATIO, numbers_of
 from difffric.rig.scales import Scales
 
 DAMPING, VISCOSITY = "b_N_s_per_m", "k_v_N_s_per_m"
@@ -44,6 +44,8 @@ _FINALISTS = 14
 """Combinations that get those."""
 _SOFTER = (0.7, 0.85, 1.0, 1.2)
 """Shares of the given stiffness from which the search starts."""
+_STIFFER = np.log(1.5)
+"""By how much the contact is stiffer at a second start with a damper on approach."""
 _LONGEST = 5.0
 """Contact times that a tip goes on for, at most."""
 _NONE = -30.0
@@ -109,14 +111,37 @@ class BeamSearch:
         points, cost = self.table.descend(one.points, 3 * _LAST)
         return self._make(one.parts, points, float(cost[0]))
 
-    def leave_out(self, one: Combination, part: str) -> Combination:
-        """The combination without one of its parts, all else fitted anew."""
-        c = one.points.c.copy()
-        index = self._list_numbers(part)
-        c[0, index] = _NONE if part == DAMPING else 0.0
-        free = tuple(i for i in one.points.free[0] if i not in index)
-        points, cost = self.table.descend(Points(c, (free,)), 2 * _LAST)
-        return self._make(one.parts - {part}, points, float(cost[0]))
+    def leave_out_each(self, one: Combination) -> dict[str, Combination]:
+        """The combination without each of its parts, all else fitted anew."""
+        parts, rows, free = sorted(one.parts), [], []
+        for part in parts:
+            index = self._list_numbers(part)
+            c = one.points.c[0].copy()
+            c[index] = self._find_none(part)
+            rows.append(c)
+            free.append(tuple(i for i in one.points.free[0] if i not in index))
+        points, cost = self.table.descend(Points(np.array(rows), tuple(free)), 2 * _LAST)
+        return {
+            part: self._make(one.parts - {part}, points.pick(np.array([j])), float(cost[j]))
+            for j, part in enumerate(parts)
+        }
+
+    def list_swapped(self, one: Combination) -> list[Combination]:
+        """The combinations that have another part in place of one, the best first."""
+        names = self.table.model.coordinates.names
+        starts = []
+        for part in one.parts:
+            c = one.points.c[0].copy()
+            gone = self._list_numbers(part)
+            c[gone] = self._find_none(part)
+            free = tuple(i for i in one.points.free[0] if i not in gone)
+            bare = Combination(one.parts - {part}, Points(c[None], (free,)), np.inf, np.inf)
+            starts += [s for s in self._add_parts([bare], 1) if s.parts != one.parts]
+        stiffness = np.array([name == STIFFNESS for name in names])
+        starts += [  # a damper on approach may stand in for part of the stiffness, or be in its way
+            s._replace(c=s.c + _STIFFER * stiffness) for s in starts if DAMPING in s.parts
+        ]
+        return self._choose(starts, set(), most=len(starts))
 
     def _start(self) -> list[Combination]:
         """The spring alone."""
@@ -145,7 +170,9 @@ class BeamSearch:
                     starts.append(_Start(one.parts | set(more), c, (*one.points.free[0], *index)))
         return starts
 
-    def _choose(self, starts: list[_Start], sure: set[frozenset[str]]) -> list[Combination]:
+    def _choose(
+        self, starts: list[_Start], sure: set[frozenset[str]], most: int = _RANKED
+    ) -> list[Combination]:
         """The best combinations, each where it fits best."""
         points = Points(np.array([s.c for s in starts]), tuple(s.free for s in starts))
         parts = [s.parts for s in starts]
@@ -153,7 +180,7 @@ class BeamSearch:
         # A part that only shows once all else has moved ranks low, but near its null: of the best
         # combinations every extension is followed, from all sizes.
         own = [s.parts in sure for s in starts]
-        more = _take_few([j for j in order if not own[j]], parts, _RANKED)
+        more = _take_few([j for j in order if not own[j]], parts, most)
         some = np.concatenate([np.flatnonzero(own), more])
         points, cost = self.table.descend(points.pick(some), _FIRST)
         parts = [parts[j] for j in some]
@@ -174,6 +201,12 @@ class BeamSearch:
     def _list_numbers(self, part: str) -> list[int]:
         names = (part,) if part in PLAIN else numbers_of(part)
         return self.table.model.coordinates.indices(names)
+
+    def _find_none(self, part: str) -> Any:
+        """The coordinates at which a part is not there."""
+        if part == RATIO:
+            return self.base[self._list_numbers(part)]
+        return _NONE if part == DAMPING else 0.0
 
     def _list_sizes(self, part: str) -> list[list[float]]:
         """The coordinates from which a part is looked for."""

@@ -19,6 +19,10 @@ _SCALE = 2.5
 _FARTHEST = 0.7
 """No step moves a coordinate further: a factor of two, or as much of what is typical."""
 _RIDGE = 1e-9
+_ARRIVED = 3e-3
+"""A step that gains no more is the last."""
+_STUCK = 1e3
+"""The damping at which a point that betters itself no more is given up: it stands at a jump."""
 
 
 @dataclass(frozen=True)
@@ -29,10 +33,13 @@ class Points:
     """(m, K) coordinates; that of mu_s is each push's own"""
     free: tuple[tuple[int, ...], ...]
     """entry j: the coordinates that are free in model j"""
+    seen: NDArray | None = None
+    """(m, n) whether a push counts; None: all do"""
 
     def pick(self, which: NDArray) -> Points:
         """Some of them, by their numbers."""
-        return Points(self.c[which], tuple(self.free[j] for j in which))
+        seen = None if self.seen is None else self.seen[which]
+        return Points(self.c[which], tuple(self.free[j] for j in which), seen)
 
 
 @dataclass(frozen=True)
@@ -62,18 +69,25 @@ class KnownFriction:
         seeds = _seed(points)
         gram = self._answer(points, seeds)
         cost, damping = self._sum(points.c, gram), np.full(len(points.c), 1e-2)
+        points, active = replace(points, c=points.c.copy()), np.ones(len(points.c), bool)
         for _ in range(rounds):
-            known = np.einsum("mdk,k->md", seeds, self.precision)
-            at = np.einsum("mdk,mk->md", seeds, points.c)
-            step = np.einsum("md,mdk->mk", _solve(gram, known, at, damping), seeds)
-            c = np.clip(points.c + np.clip(step, -_FARTHEST, _FARTHEST), lower, upper)
-            new = self._answer(replace(points, c=c), seeds)
-            found = self._sum(c, new)
-            better = found < cost
-            points = replace(points, c=np.where(better[:, None], c, points.c))
-            gram = np.where(better[:, None, None, None, None], new, gram)
-            cost = np.where(better, found, cost)
-            damping = np.clip(np.where(better, damping / 5, damping * 6), 1e-9, 1e6)
+            which = np.flatnonzero(active)
+            if not len(which):
+                break
+            at, G, own = points.pick(which), gram[which], seeds[which]
+            known = np.einsum("mdk,k->md", own, self.precision)
+            along = np.einsum("mdk,mk->md", own, at.c)
+            step = np.einsum("md,mdk->mk", _solve(G, known, along, damping[which]), own)
+            c = np.clip(at.c + np.clip(step, -_FARTHEST, _FARTHEST), lower, upper)
+            new = self._answer(replace(at, c=c), own)
+            found, before = self._sum(c, new), cost[which]
+            better = found < before
+            points.c[which] = np.where(better[:, None], c, at.c)
+            gram[which] = np.where(better[:, None, None, None, None], new, G)
+            cost[which] = np.where(better, found, before)
+            by = np.where(better, 0.2, 6.0)
+            damping[which] = np.clip(damping[which] * by, 1e-9, 1e6)
+            active[which] = np.where(better, before - found > _ARRIVED, damping[which] < _STUCK)
         return points, cost
 
     def _sum(self, c: NDArray, gram: NDArray) -> NDArray:
@@ -93,7 +107,19 @@ class KnownFriction:
         bad = ~np.isfinite(gram).all(axis=(-2, -1), keepdims=True)
         gram = np.where(bad, 0.0, gram)
         gram[..., -1, -1] += np.where(bad[..., 0, 0], 1e6, 0.0)
-        return gram
+        return gram if points.seen is None else gram * points.seen[:, :, None, None, None]
+
+    def leave_out_folds(self, point: Points, folds: NDArray, rounds: int) -> Points:
+        """Where the one point leads without the pushes of each fold (n,), in their order."""
+        names = np.unique(folds)
+        c = np.repeat(point.c, len(names), axis=0)
+        return self.descend(Points(c, point.free * len(names), folds != names[:, None]), rounds)[0]
+
+    def predict_held_out(self, ends: Points) -> NDArray:
+        """(n, 2) squared errors, in units of the standard errors, of each push where the point of
+        `leave_out_folds` stands that has not seen it."""
+        squares = self.measure_squares(replace(ends, seen=None))
+        return squares[np.argmin(ends.seen, axis=0), np.arange(len(self.log_mu))]
 
     def _find_limits(self) -> tuple[NDArray, NDArray]:
         coordinates = self.model.coordinates

@@ -22,7 +22,7 @@ from difffric.rig.rig import Rig
 from difffric.simulation.events import Event
 from difffric.simulation.stepping.dop853_tableau import ERRORS_3, ERRORS_5, STAGES, WEIGHTS
 
-TOLERANCE = 1e-8
+TOLERANCE = 1e-7
 """Of a step, as a share of the compression under the part's own weight and of the leg's speed."""
 _FIRST = 0.2
 """The first step, in the contact's time."""
@@ -31,6 +31,8 @@ _MOST = 3000
 _STEADY = 1e-9
 """Of the leg's speed: a part that differs from the tip by less, and keeps it up, slides on with
 it."""
+_SLOW = 0.1
+"""Of the speed at which the contact swings under the part's own friction: no leg's is less."""
 _SHORTEST = 1e-9
 """Of the contact's time: a guard that rises and falls within a step as short as this falls at
 once."""
@@ -64,8 +66,10 @@ class Course(NamedTuple):
         """The course of a leg that begins with the part at u [m/s]."""
         k = plain(xp.slope(lambda z: rig.contact.approach(z, 0.0), v_p))
         weight = plain(rig.friction.breakaway(rig.F_N))
+        time, z_ref = np.sqrt(plain(rig.mass) / k), weight / k
         u_ref = np.maximum(np.abs(plain(u)), np.abs(plain(v_p)))
-        return cls(rig, v_p, until, np.sqrt(plain(rig.mass) / k), weight / k, u_ref)
+        # A part that rests behind a standing tip, but for rounding, has no speed of its own.
+        return cls(rig, v_p, until, time, z_ref, np.maximum(u_ref, _SLOW * z_ref / time))
 
 
 Acceleration = Callable[[Course, Any, Any], Any]
