@@ -62,6 +62,13 @@ def read_tables() -> list[Printed]:
     ]
 
 
+def assume_errors(peak_force: NDArray, sliding_distance: NDArray) -> tuple[NDArray, NDArray]:
+    """The standard errors [N], [m] that are assumed of measured F_p and d."""
+    both = zip(LEAST_ERRORS, (peak_force, sliding_distance), strict=True)
+    F, d = (np.hypot(least, SHARE * number) for least, number in both)
+    return F, d
+
+
 def load_pushes() -> Pushes:
     """Return the 12 pushes behind Tables I-IV: DRY at six speeds, then OILY, with the errors that
     are assumed."""
@@ -72,12 +79,13 @@ def load_pushes() -> Pushes:
     )
     F = np.array([r.measured for r in force.values()], float)
     d = UM * np.array([distance[key].measured for key in force], float)
+    errors = assume_errors(F, d)
     return Pushes(
         velocity=from_mm_min(np.array([v for _, v in force])),
         peak_force=F,
         sliding_distance=d,
-        peak_force_se=np.hypot(LEAST_ERRORS[0], SHARE * F),
-        sliding_distance_se=np.hypot(LEAST_ERRORS[1], SHARE * d),
+        peak_force_se=errors[0],
+        sliding_distance_se=errors[1],
         mu_s_gauge=np.array([r.mu_s_gauge for r in force.values()]),
         condition=[condition for condition, _ in force],
     )

@@ -6,19 +6,25 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import matplotlib
+import matplotlib.ticker
 import numpy as np
 from matplotlib.figure import Figure
 
 from difffric.commands.figures.style import COLOURS, STYLE, make_figure
 from difffric.identification.surrogates import PUBLISHED_DISTANCE, PUBLISHED_FORCE
+from difffric.rig import parameters
+from difffric.simulation.columns import observe_columns
 from difffric.simulation.families import Family
-from difffric.studies.paper import CONDITIONS, Paper, bound_distance
+from difffric.studies.paper import Paper
+from difffric.studies.published_tables import CONDITIONS
 from difffric.units import to_mm, to_mm_min, to_um
 
 if TYPE_CHECKING:
     from difffric.simulation.trajectory import Trajectory  # it imports JAX
 
 _MARKERS = {"DRY": "o", "OILY": "s"}
+_SHOWN = 100.0
+"""Errors beyond this [%] are drawn at the edge."""
 
 
 def draw_response(trajectories: Mapping[str, Trajectory], what: str) -> Figure:
@@ -99,86 +105,98 @@ def _draw_measured(ax, paper: Paper, force: bool):
         )
 
 
-def draw_residuals(paper: Paper) -> Figure:
-    """Draw what equation (2) gets wrong: measured minus model at the gauge's mu_s, over speed."""
-    p, c = paper.pushes, paper.calibration
-    v = to_mm_min(p.velocity)
-    panels = (
-        (p.peak_force - c.peak_force, c.spread_force, "$F_p$ measured − model [N]"),
-        (
-            to_um(p.sliding_distance - np.nan_to_num(c.sliding_distance)),
-            to_um(c.spread_distance),
-            "d measured − model [µm]",
-        ),
-    )
-    impossible = p.sliding_distance > bound_distance(p)
+def draw_explained(paper: Paper) -> Figure:
+    """Draw F_p and d over speed: as measured, by equation (2) as printed, by the extended model."""
+    p = paper.pushes
+    v = np.geomspace(p.velocity.min(), p.velocity.max(), 60)
     with matplotlib.rc_context(STYLE):
         figure, axes = make_figure(2, width=9.6)
-        for ax, (residual, spread, label) in zip(axes, panels, strict=True):
-            ax.axhspan(-spread, spread, color="#999", alpha=0.2, lw=0, label="estimated spread")
-            ax.axhline(0, color="#333", lw=0.8)
+        for name, fit, style in (
+            ("equation (2)", paper.plain.fit, ":"),
+            ("extended", paper.extended.fit, "-"),
+        ):
             for condition in CONDITIONS:
-                mine = np.array([x == condition for x in p.condition])
+                gauge = float(p.mu_s_gauge[p.condition.index(condition)])
+                seen = observe_columns(parameters.with_values(fit.rig, {"mu_s": gauge}), v)
+                given = {"color": COLOURS[condition], "ls": style, "lw": 1.2}
+                label = f"{name}, {condition}"
+                axes[0].plot(to_mm_min(v), seen.peak_force, label=label, **given)
+                axes[1].plot(to_mm_min(v), to_um(seen.sliding_distance), label=label, **given)
+        for condition in CONDITIONS:
+            mine = np.array([c == condition for c in p.condition])
+            for ax, y in ((axes[0], p.peak_force), (axes[1], to_um(p.sliding_distance))):
                 ax.plot(
-                    v[mine],
-                    residual[mine],
-                    _MARKERS[condition] + "-",
+                    to_mm_min(p.velocity[mine]),
+                    y[mine],
+                    _MARKERS[condition],
                     color=COLOURS[condition],
-                    lw=0.8,
-                    ms=5,
-                    label=condition,
+                    mfc="none",
+                    ms=6,
+                    label=f"measured, {condition}",
                 )
-            ax.set_xlabel("pusher speed v [mm/min]")
-            ax.set_ylabel(label)
-        axes[1].plot(
-            v[impossible],
-            panels[1][0][impossible],
-            "x",
-            color="#c00",
-            ms=11,
-            mew=1.5,
-            label="above the lossless bound:\nno k, b, $k_v$ can give it",
-        )
-        for ax in axes:
+        for ax, label in zip(axes, ("$F_p$ [N]", "d [µm]"), strict=True):
+            ax.set(xscale="log", yscale="log", xlabel="pusher speed v [mm/min]", ylabel=label)
             ax.legend(fontsize=8)
+            for axis in (ax.xaxis, ax.yaxis):
+                axis.set_major_formatter(matplotlib.ticker.StrMethodFormatter("{x:.0f}"))
+            ax.xaxis.set_major_locator(matplotlib.ticker.FixedLocator([500, 1000, 2000, 5000]))
+            ax.xaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
+            ax.yaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
     return figure
 
 
-def draw_identified(paper: Paper) -> Figure:
-    """Draw mu_s of every push by four ways, each speed judged by a calibration without it."""
+def draw_errors(paper: Paper) -> Figure:
+    """Draw the error of mu_s over speed by three ways, each speed judged without itself."""
     rows, combined = paper.list_rows(), paper.list_weighted()
     panels = (
-        ("from the force", [r for r in rows if r["quantity"] == "peak_force_N"], "mu_s_model"),
-        ("from the distance", [r for r in rows if r["quantity"] != "peak_force_N"], "mu_s_model"),
-        ("by equation (7)", combined, "mu_s_model"),
-        ("optimal", combined, "mu_s_optimal"),
+        ("from the force", [r for r in rows if r["quantity"] == "peak_force_N"]),
+        ("from the distance", [r for r in rows if r["quantity"] != "peak_force_N"]),
+        ("by equation (7)", combined),
+    )
+    ways = (
+        ("mu_s_surrogate", "paper's formula", {"marker": "x", "ls": "none"}, 0.93),
+        ("mu_s_plain", "equation (2)", {"ls": ":", "mfc": "none"}, 1.0),
+        ("mu_s_model", "extended", {"ls": "-"}, 1.07),
     )
     with matplotlib.rc_context(STYLE):
-        figure, axes = make_figure(4, width=12.0, height=3.6, sharey=True)
-        for ax, (title, of, key) in zip(axes, panels, strict=True):
-            for shift, condition in zip((-60, 60), CONDITIONS, strict=True):
+        figure, axes = make_figure(3, width=11.0, height=3.8, sharey=True)
+        for ax, (title, of) in zip(axes, panels, strict=True):
+            ax.axhline(0, color="#333", lw=0.8)
+            for condition in CONDITIONS:
                 mine = [r for r in of if r["condition"] == condition]
-                colour = COLOURS[condition]
-                ax.axhline(mine[0]["mu_s_gauge"], color=colour, lw=0.8, ls=":")
-                v = np.array([r["velocity_mm_min"] for r in mine]) + shift
-                printed = [r["mu_s_surrogate"] for r in mine]
-                ax.plot(v, printed, "x", color=colour, ms=5, label=f"{condition}, paper's formula")
-                y = np.array([np.nan if r[key] is None else r[key] for r in mine])
-                se = [r[f"{key}_standard_error"] or np.nan for r in mine]
-                ax.errorbar(
-                    v,
-                    y,
-                    se,
-                    fmt=_MARKERS[condition],
-                    color=colour,
-                    ms=5,
-                    lw=1,
-                    mfc="none",
-                    label=f"{condition}, model",
-                )
+                v = np.array([r["velocity_mm_min"] for r in mine])
+                for key, name, style, shift in ways:
+                    error = [
+                        np.nan if r[key] is None else 100 * (r[key] / r["mu_s_gauge"] - 1)
+                        for r in mine
+                    ]
+                    ax.plot(
+                        v * shift,
+                        np.clip(error, -_SHOWN, _SHOWN),
+                        **{"marker": _MARKERS[condition], **style},
+                        color=COLOURS[condition],
+                        ms=5,
+                        lw=0.8,
+                        label=f"{name}, {condition}",
+                    )
             ax.set_title(title, fontsize=10)
-            ax.set_xlabel("v [mm/min]")
-            ax.set_ylim(0, 0.45)
-        axes[0].set_ylabel(r"$\mu_s$  (dotted: gauge)")
+            ax.set(xscale="log", xlabel="v [mm/min]", ylim=(-1.05 * _SHOWN, 1.05 * _SHOWN))
+            ax.xaxis.set_major_locator(matplotlib.ticker.FixedLocator([500, 1000, 2000, 5000]))
+            ax.xaxis.set_major_formatter(matplotlib.ticker.StrMethodFormatter("{x:.0f}"))
+            ax.xaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
+        axes[0].set_ylabel(r"error of $\mu_s$ [%]")
         axes[-1].legend(fontsize=7)
+    return figure
+
+
+def draw_slopes(paper: Paper) -> Figure:
+    """Draw dF_p/dmu_s over speed: what (3) says, and what three models make of it."""
+    names = {"forces": "no damping on approach", "plain": "equation (2)", "extended": "extended"}
+    with matplotlib.rc_context(STYLE):
+        figure, ax = make_figure()
+        ax.axhline(PUBLISHED_FORCE.C_mu, color="#666", ls="--", lw=0.9, label="paper's (3)")
+        for s in paper.compare_slopes():
+            ax.plot(s["velocity_mm_min"], s["slope_N"], label=names[s["model"]])
+        ax.set(xlabel="pusher speed v [mm/min]", ylabel=r"$dF_p/d\mu_s$ [N]", ylim=(0, None))
+        ax.legend(fontsize=8)
     return figure

@@ -3,12 +3,14 @@ buys, and what would do nearly as well."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from difffric.calibration.result import Fit
 from difffric.diagnosis.combinations.beam_search import (
     DAMPING,
     VISCOSITY,
@@ -18,12 +20,14 @@ from difffric.diagnosis.combinations.beam_search import (
 from difffric.diagnosis.combinations.robust_descent import KnownFriction, Points
 from difffric.diagnosis.data import prepare_data
 from difffric.diagnosis.extended_setup import strip_effects
+from difffric.diagnosis.impossible_measurements import Certificate
+from difffric.diagnosis.verdict import AMBIGUOUS, NAMED, UNEXPLAINED
 from difffric.estimation.effect_coordinates import PLAIN
 from difffric.estimation.following.answer_in_columns import list_served
 from difffric.measurements.pushes import Pushes
 from difffric.progress import Tell, silent
 from difffric.rig import catalogue, parameters
-from difffric.rig.catalogue import RATIO, numbers_of
+from difffric.rig.catalogue import RATIO, component_of, numbers_of
 from difffric.rig.rig import Rig
 from difffric.rig.setup import Extras, Setup
 
@@ -62,6 +66,12 @@ class Explanation:
         names = [coordinates.names[i] for i in one.points.free[0]]
         return dict(zip(names, coordinates.values(one.points.c[0], names), strict=True))
 
+    def list_blind(self, one: Combination) -> list[Combination]:
+        """A stage's combination where it stands without the pushes of each fold."""
+        ends = self.blind[self.stages.index(one)]
+        each = (ends.pick(np.array([j])) for j in range(len(ends.c)))
+        return [replace(one, points=replace(points, seen=None)) for points in each]
+
     def extend_setup(self, one: Combination) -> Setup:
         """The set-up with a combination's parts, which alone are free beside the stiffness."""
         values = self.list_values(one)
@@ -74,6 +84,51 @@ class Explanation:
         rig = catalogue.extended(parameters.with_values(self.setup.rig, plain), effects)
         free = {name: Extras(None, name in values, None, None) for name in (*plain, *values)}
         return replace(self.setup, rig=rig, extras={**self.setup.extras, **free})
+
+    def as_diagnosis(self, fit: Fit, certificates: Sequence[Certificate]) -> dict[str, Any]:
+        """As `result.json` holds a diagnosis; `fit` is the best combination's calibration."""
+        weights = [np.exp(0.5 * (self.best.penalised - one.penalised)) for one in self.rivals]
+        causes = []
+        for part in sorted(self.best.parts - {DAMPING, VISCOSITY}):
+            lacking = [
+                (w, one)
+                for w, one in zip(weights, self.rivals, strict=True)
+                if part not in one.parts
+            ]
+            others = {x for _, one in lacking for x in one.parts - self.best.parts}
+            numbers = {
+                ("ratio" if part == RATIO else name.partition(".")[2]): {
+                    "value": fit.value(name),
+                    "standard_error": fit.standard_error(name),
+                }
+                for name in numbers_of(part)
+            }
+            causes.append(
+                {
+                    "id": part,
+                    "component": component_of(part),
+                    "probability": float(1.0 / (1.0 + sum(w for w, _ in lacking))),
+                    "confusable_with": sorted(others),
+                    "parameters": numbers,
+                    "chi2_drop": self.without[part].cost - self.best.cost,
+                }
+            )
+        causes.sort(key=lambda cause: -cause["chi2_drop"])
+        unsure = any(cause["confusable_with"] for cause in causes)
+        return {
+            "verdict": AMBIGUOUS if unsure else NAMED if causes else UNEXPLAINED,
+            "causes": causes,
+            "negligible": [],
+            "certificates": [one.as_dict() for one in certificates],
+            "location": None,
+            "gain": {
+                "heldout_nrmse_before": self.held_out[0],
+                "heldout_nrmse_after": self.held_out[len(self.best.parts)],
+                "noise_floor": 1.0,
+            },
+            "not_visible": [],
+            "next_experiment": None,
+        }
 
 
 def explain_table(
