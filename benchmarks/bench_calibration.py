@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from benchmarks import contest, numba_closed_form, scipy_push
 from difffric import fit
 from difffric.rig.rig import spring_damper_rig
-from difffric.studies import paper
+from difffric.studies import published_tables as paper
 
 GROUP = "7. A calibration: k, b and k_v from 24 measurements"
 NAMES = ("k", "b", "k_v")

@@ -78,6 +78,8 @@ def make_starts(layout: Layout, several: bool = True) -> list[NDArray]:
 
 def search_roughly(model: Model, data: FitData, starts: list[NDArray], tell: Tell) -> Ends:
     """Where the starts lead with some per cent of tolerance; of a table's, the promising ones."""
+    if len(starts) == 1 and data.kind == TABLE and not model.rig.affine:
+        return [(0.0, first_point(model, data, starts[0]), 1)]  # stepped through: no step in vain
     if len(starts) > 1 and data.kind == TABLE:
         tell("looking for starts", 0.0)
         starts = rank_starts(model, data, starts, _DESCENTS)

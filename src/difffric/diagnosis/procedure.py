@@ -15,6 +15,7 @@ import numpy as np
 
 from difffric.compute.precision import require_float64
 from difffric.diagnosis.alternatives import find_alternatives
+from difffric.diagnosis.combinations.explanation import explain_table
 from difffric.diagnosis.conclusion import SIGNIFICANT, Findings, NamedCause, conclude
 from difffric.diagnosis.cross_validation import CrossValidation, assign_folds
 from difffric.diagnosis.exploration import CandidateCause, explore, is_promising
@@ -33,8 +34,10 @@ from difffric.diagnosis.starting_values import SMOOTH_AT_NULL
 from difffric.diagnosis.verdict import Diagnosis, measure_changes
 from difffric.errors import InputError, NumericalError
 from difffric.estimation import ensemble, ensemble_refits
+from difffric.estimation.effect_coordinates import PLAIN
 from difffric.estimation.ensemble import Fits
 from difffric.estimation.extended_model import PRESLIDING
+from difffric.estimation.stacked_data import TABLE
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
 from difffric.progress import Tell, silent
@@ -152,6 +155,8 @@ class _CauseSearch:
         if task.n < _FEWEST:
             notes = (f"{task.n} pushes: too few to hold any out, and no cause is looked for",)
         else:
+            if find_unreachable(data.measured, self.setup.rig):
+                self._add_combination()
             for k in range(_ADDED):
                 more = len(self._list_causes()) < MOST and self._look_once_more(k)
                 if not more:
@@ -187,6 +192,43 @@ class _CauseSearch:
             notes=notes,
             compiling=self.compiling,
         )
+
+    def _add_combination(self) -> None:
+        """Begin with the combination that explains a table best, where no k, b and k_v can give
+        some of its distances: one cause alone hardly mends that."""
+        data, task = self.start.data, self.start.data.task
+        gauged = data.measured.mu_s_gauge
+        if task.mu_free or not np.isfinite(gauged).all() or task.model.kind != TABLE:
+            return
+
+        def tell(what: str, share: float) -> None:
+            self.tell(what, 0.25 + 0.1 * share)
+
+        found = explain_table(self.setup, data.measured, self.validation.folds, tell)
+        effects = [part for part in found.best.parts if part not in PLAIN]
+        missing = [effect for effect in effects if effect in self._list_wanted()]
+        index = task.model.coordinates.indices([n for e in missing for n in numbers_of(e)])
+        at = replace(
+            self.base,
+            c=np.where(np.arange(found.best.points.c.shape[1]) > 0, found.best.points.c, 0.0),
+            extra=((*self.base.extra[0], *index),),
+            gram=None,
+            residual=None,
+            damping=None,
+        )
+        new = ensemble_refits.refit(task, at, _ROUNDS)
+        if not missing or not self.validation.is_better(new, self.base):
+            return
+        self.total = max(self.lack.excess, 1.0)
+        self.base = new
+        for effect in missing:
+            without = self._leave_out(new, effect)
+            drop = float(ensemble.criterion(task, without)[0] - ensemble.criterion(task, new)[0])
+            p_value = compute_p_value(effect, drop, len(data.looked_for))
+            price = len(numbers_of(effect)) * task.price
+            one = CandidateCause(effect, new, drop, 0.0, p_value, drop - price)
+            self.named.append(NamedCause(one, (one,), without))
+        self.named, self.base = self._drop_needless(self.named, self.base, len(self.named))
 
     def _list_causes(self) -> list[NamedCause]:
         """List what was added and matters."""

@@ -23,6 +23,7 @@ from difffric.simulation.families import Family, family
 from difffric.studies.published_tables import (
     CONDITIONS,
     Printed,
+    assume_errors,
     combine_surrogates,
     compute_published_ratio,
     find_misprints,
@@ -215,6 +216,8 @@ def study(progress: Tell = silent) -> Paper:
     from difffric.diagnosis.combinations.explanation import explain_table
 
     measured, rig = load_pushes(), guess_rig()
+    F_se, d_se = assume_errors(measured.peak_force, measured.sliding_distance)
+    measured = replace(measured, peak_force_se=F_se, sliding_distance_se=d_se)
     nothing = np.zeros(len(measured), bool)
     impossible = measured.sliding_distance > bound_distance(measured)
     folds = np.unique(measured.velocity, return_inverse=True)[1]

@@ -70,8 +70,7 @@ def assume_errors(peak_force: NDArray, sliding_distance: NDArray) -> tuple[NDArr
 
 
 def load_pushes() -> Pushes:
-    """Return the 12 pushes behind Tables I-IV: DRY at six speeds, then OILY, with the errors that
-    are assumed."""
+    """Return the 12 pushes behind Tables I-IV: DRY at six speeds, then OILY."""
     rows = read_tables()
     force, distance = (
         {(r.condition, r.velocity_mm_min): r for r in rows if r.quantity == quantity}
@@ -79,13 +78,10 @@ def load_pushes() -> Pushes:
     )
     F = np.array([r.measured for r in force.values()], float)
     d = UM * np.array([distance[key].measured for key in force], float)
-    errors = assume_errors(F, d)
     return Pushes(
         velocity=from_mm_min(np.array([v for _, v in force])),
         peak_force=F,
         sliding_distance=d,
-        peak_force_se=errors[0],
-        sliding_distance_se=errors[1],
         mu_s_gauge=np.array([r.mu_s_gauge for r in force.values()]),
         condition=[condition for condition, _ in force],
     )

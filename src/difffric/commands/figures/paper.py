@@ -137,6 +137,8 @@ def draw_explained(paper: Paper) -> Figure:
         for ax, label in zip(axes, ("$F_p$ [N]", "d [µm]"), strict=True):
             ax.set(xscale="log", yscale="log", xlabel="pusher speed v [mm/min]", ylabel=label)
             ax.legend(fontsize=8)
+            if label == "$F_p$ [N]":
+                ax.yaxis.set_major_locator(matplotlib.ticker.FixedLocator([50, 100, 200, 300]))
             for axis in (ax.xaxis, ax.yaxis):
                 axis.set_major_formatter(matplotlib.ticker.StrMethodFormatter("{x:.0f}"))
             ax.xaxis.set_major_locator(matplotlib.ticker.FixedLocator([500, 1000, 2000, 5000]))
