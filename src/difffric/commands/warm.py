@@ -26,7 +26,7 @@ def warm(
     from difffric.studies import first_runs
 
     if setup is None:
-        rigs = [df.studies.paper.guess_rig(stroke) for stroke in (None, 2e-3)]
+        rigs = [df.studies.published_tables.guess_rig(stroke) for stroke in (None, 2e-3)]
         setups = [df.Setup(rig) for rig in rigs]
     else:
         setups = [df.read_setup(setup)]

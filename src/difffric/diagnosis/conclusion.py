@@ -237,6 +237,8 @@ def _locate_unexplained(
     task, plain, whole = found.data.task, found.plain, found.whole
     left = 0.0 if arrived else float(np.sqrt(max(after.excess, 0.0) / found.scale))
     nothing = not found.causes and not arrived
+    if task.model.in_columns:  # free forms cannot be followed so
+        return None
     if left < _DOUBTED and len(found.causes) < 2 and not nothing:
         return None
     tell("looking for the component", 0.92)

@@ -20,6 +20,7 @@ from difffric.estimation.extended_model import (
     ExtendedModel,
     StackedPushes,
 )
+from difffric.estimation.following.answer_in_columns import list_served
 from difffric.estimation.stacked_data import find_strokes
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.reduction.reduce import Reduction
@@ -110,6 +111,16 @@ def prepare_data(
     looked_for = tuple(e for e in (*CATALOGUE, RATIO) if e not in left_out and e not in impossible)
     scales = _estimate_scales(rig, measured, strokes, mass)
     return DiagnosisData(task, scales, measured, looked_for, impossible, reduction)
+
+
+def follow_in_columns(data: DiagnosisData) -> DiagnosisData:
+    """Return the same data, of a table, followed by NumPy: nothing is compiled, and only those
+    effects are looked for that can be followed so."""
+    model = data.task.model
+    served = {*list_served(model.plain), RATIO}
+    looked_for = tuple(effect for effect in data.looked_for if effect in served)
+    task = replace(data.task, model=replace(model, in_columns=True))
+    return replace(data, task=task, looked_for=looked_for)
 
 
 def _extend_by_all(

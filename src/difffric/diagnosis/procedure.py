@@ -37,7 +37,6 @@ from difffric.estimation import ensemble, ensemble_refits
 from difffric.estimation.effect_coordinates import PLAIN
 from difffric.estimation.ensemble import Fits
 from difffric.estimation.extended_model import PRESLIDING
-from difffric.estimation.stacked_data import TABLE
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
 from difffric.progress import Tell, silent
@@ -129,6 +128,8 @@ class _CauseSearch:
     """what there was to explain, in -2 log likelihood"""
     compiling: Thread | None = None
     """compiles the program of free forms"""
+    notes: tuple[str, ...] = ()
+    """what a reader should know of the search"""
 
     @classmethod
     def begin(
@@ -151,18 +152,18 @@ class _CauseSearch:
     def run(self) -> Findings:
         """Look for causes, round by round, and return all that was found."""
         data, task = self.start.data, self.start.data.task
-        notes = ()
-        if task.n < _FEWEST:
-            notes = (f"{task.n} pushes: too few to hold any out, and no cause is looked for",)
+        if task.model.in_columns:
+            self._add_combination()
+        elif task.n < _FEWEST:
+            self.notes = (f"{task.n} pushes: too few to hold any out: no cause is looked for",)
         else:
-            if find_unreachable(data.measured, self.setup.rig):
-                self._add_combination()
             for k in range(_ADDED):
                 more = len(self._list_causes()) < MOST and self._look_once_more(k)
                 if not more:
                     break
                 self._arrive(k)
-        self._add_alternatives()
+        if not task.model.in_columns:
+            self._add_alternatives()
         certificates = find_unreachable(data.measured, self.setup.rig)
         if certificates and not self.named:
             # The plain model is wrong for certain: what may mend it is in question.
@@ -189,17 +190,14 @@ class _CauseSearch:
             visible=self.visible,
             certificates=certificates,
             total=self.total,
-            notes=notes,
+            notes=self.notes,
             compiling=self.compiling,
         )
 
     def _add_combination(self) -> None:
-        """Begin with the combination that explains a table best, where no k, b and k_v can give
-        some of its distances: one cause alone hardly mends that."""
+        """Add the combination that explains a table best of whose distances no k, b and k_v can
+        give some: one cause alone hardly mends that."""
         data, task = self.start.data, self.start.data.task
-        gauged = data.measured.mu_s_gauge
-        if task.mu_free or not np.isfinite(gauged).all() or task.model.kind != TABLE:
-            return
 
         def tell(what: str, share: float) -> None:
             self.tell(what, 0.25 + 0.1 * share)
@@ -221,6 +219,12 @@ class _CauseSearch:
             return
         self.total = max(self.lack.excess, 1.0)
         self.base = new
+        self.notes = tuple(
+            f"{' and '.join(sorted(rival.parts - found.best.parts))} in place of "
+            f"{' and '.join(sorted(found.best.parts - rival.parts))} explains these data nearly as "
+            f"well (cost {rival.cost:.1f} against {found.best.cost:.1f})"
+            for rival in found.rivals
+        )
         for effect in missing:
             without = self._leave_out(new, effect)
             drop = float(ensemble.criterion(task, without)[0] - ensemble.criterion(task, new)[0])

@@ -15,13 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.calibration.calibrate import Fit, fit
-from difffric.diagnosis.data import DiagnosisData, join_plain_fit, prepare_data
+from difffric.diagnosis.data import (
+    DiagnosisData,
+    follow_in_columns,
+    join_plain_fit,
+    prepare_data,
+)
 from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.extended_setup import strip_effects
+from difffric.diagnosis.impossible_measurements import find_unreachable
 from difffric.diagnosis.lack_of_fit import is_misfit_large
 from difffric.estimation import ensemble, ensemble_refits
 from difffric.estimation.effect_coordinates import PLAIN
 from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.stacked_data import TABLE
 from difffric.measurements.checks import check_data
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
@@ -90,7 +97,9 @@ def prepare_start(
         )
         reduction, noise = None, _collect_errors(plain, measured)
     data = prepare_data(plain, measured, reduction, noise)
-    compiling = Thread(target=data.task.model.compile)
+    combined = is_out_of_reach(data)
+    data = follow_in_columns(data) if combined else data
+    compiling = Thread(target=(lambda: None) if combined else data.task.model.compile)
     compiling.start()
     try:
         # One start will do: where the fit is poor, the search begins with more of its own.
@@ -111,6 +120,14 @@ def prepare_start(
     c[0, extra] = coordinates.point(known)
     at = replace(start, c=c, extra=(tuple(extra),))
     return SearchStart(data, fitted, tuple(known), at, _place_at_setup(data.task, at, plain))
+
+
+def is_out_of_reach(data: DiagnosisData) -> bool:
+    """Whether a table of known friction has distances that no k, b and k_v can give: one cause
+    alone hardly mends that, and a combination is looked for at once."""
+    if data.task.model.kind != TABLE or not np.isfinite(data.measured.mu_s_gauge).all():
+        return False
+    return bool(find_unreachable(data.measured, data.task.model.plain))
 
 
 def _place_at_setup(task: EnsembleTask, fits: Fits, plain: Rig) -> Fits:

@@ -38,7 +38,10 @@ ARRIVED = 1e-4
 
 
 _WORTH = 1e-6
-"""What a step through stepped pushes, which takes long, has to gain in chi-square."""
+"""What a step has to gain in chi-square, where NumPy follows a table's pushes."""
+_FEW = 64
+"""Pushes of known friction that are followed by NumPy: a search for nothing but what they share
+takes few steps."""
 _BOUNDINGS = 2
 """Times that start offsets are looked at after a search: holding one may drive out another."""
 
@@ -200,7 +203,7 @@ def _search_near(model: Model, data: FitData, problem: Problem, start: FitPoint,
     if goes_in_columns(model, data):
         pushes, moving = pytrees.pick(data.pushes, slice(data.n)), _list_moving(model)
         directions = len(moving)
-        worth = 0.0 if model.rig.affine else _WORTH
+        worth = 0.0 if data.kind == RECORDINGS else _WORTH
         end = minimise_stepwise(
             problem, start, steps, lambda c: respond_in_columns(model.rig, pushes, c, moving), worth
         )
@@ -226,9 +229,14 @@ def _run_programs(problem: Problem, start: FitPoint, steps: int, kind: str) -> E
 
 def goes_in_columns(model: Model, data: FitData) -> bool:
     """Whether pushes are followed by NumPy, with nothing compiled: whole recordings by the closed
-    form, tables that are searched in few steps and those whose friction bends with the speed."""
+    form; tables that are searched in few steps, those whose friction bends with the speed, and
+    small ones of known friction."""
     affine = model.rig.affine  # what bends is stepped through sooner than its program is compiled
-    wanted = affine if data.kind == RECORDINGS else data.in_few_steps or not affine
+    if data.kind == RECORDINGS:
+        wanted = affine
+    else:
+        known = not model.estimate_scatter and model.scatter == 0 and data.n <= _FEW
+        wanted = data.in_few_steps or not affine or known
     return wanted and serves(model.rig, model.integrator)
 
 

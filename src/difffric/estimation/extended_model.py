@@ -24,11 +24,7 @@ from difffric.compute import pytrees
 from difffric.compute.xla_options import compile_soon
 from difffric.estimation.block_means import UnevenBlocks
 from difffric.estimation.effect_coordinates import Coordinates
-from difffric.estimation.following.answer_in_columns import (
-    BENDING,
-    answer_columns,
-    find_active,
-)
+from difffric.estimation.following.answer_in_columns import answer_in_columns
 from difffric.estimation.following.thread_pool import map_in_threads
 from difffric.estimation.stacked_data import RECORDINGS, SLIDES, TABLE
 from difffric.rig import catalogue
@@ -263,7 +259,7 @@ class ExtendedModel:
     """in which the program differentiates; a call with fewer is padded, one with more goes to a
     program of twice as many"""
     steps: int = STEPS
-    plain: Rig | None = None
+    plain: Any = None
     """the rig without any effect"""
     in_columns: bool = False
     """whether a table's pushes are followed by NumPy, which compiles nothing and knows only the
@@ -338,36 +334,14 @@ class ExtendedModel:
         along directions (N, D, K) or (D, K). NumPy arrays come back, Gram matrices of D + 1
         columns. Without directions, D = 0, it takes a tenth of the time."""
         directions = np.broadcast_to(directions, (len(c), *np.shape(directions)[-2:]))
-        if not self.in_columns:
-            return self._answer_compiled(index, c, directions)
-        active = find_active(self.coordinates, c, directions)
-        bends = np.zeros(len(c), bool)
-        for effect in BENDING:
-            bends |= active.get(effect, False)
-        parts: list[tuple[NDArray, PushAnswer]] = []
-        for which in (np.flatnonzero(~bends), np.flatnonzero(bends)):
-            if len(which):
-                some = index[which], c[which], directions[which]
-                effects = [e for e, there in active.items() if there[which].any()]
-                parts.append((which, self._answer_in_columns(*some, effects)))
-        back = np.argsort(np.concatenate([which for which, _ in parts]))
-        columns = zip(*(part for _, part in parts), strict=True)
-        return PushAnswer(*(np.concatenate(x)[back] for x in columns))
+        if self.in_columns:
+            rows = self._pick_rows(index)
+            found = answer_in_columns(self.coordinates, self.plain, rows, c, directions)
+            count_followed(1, (len(c), len(c)), (directions.size // c.shape[1],) * 2)
+            return PushAnswer(*found)
+        return self._ask_programs(index, c, directions)
 
-    def _answer_in_columns(
-        self, index: NDArray, c: NDArray, directions: NDArray, effects: list[str]
-    ) -> PushAnswer:
-        """`answers` of a table's pairs that have no other than these effects, by NumPy."""
-        pushes = self._pick_rows(index)
-        model, by = answer_columns(self.coordinates, self.plain, pushes, c, directions, effects)
-        measured, weight = pushes.data
-        r = weight * (measured - np.where(np.isnan(model), 0.0, model))
-        A = np.concatenate([-weight[:, :, None] * by, r[:, :, None]], axis=2)
-        lanes = len(c), len(c)
-        count_followed(1, lanes, (lanes[0] * directions.shape[1],) * 2)
-        return PushAnswer(A[:, :, :, None] * A[:, :, None, :], model, r[:, :, None])
-
-    def _answer_compiled(self, index: NDArray, c: NDArray, directions: NDArray) -> PushAnswer:
+    def _ask_programs(self, index: NDArray, c: NDArray, directions: NDArray) -> PushAnswer:
         """`answers` by compiled programs."""
         names = self.coordinates.names
         bent = c[:, names.index(BRISTLES)] > 0 if BRISTLES in names else np.zeros(len(c), bool)

@@ -1,7 +1,8 @@
 """Studies: what the library shows of itself, and of the paper that it grew from.
 
-- `paper` holds the paper's tables, calibrates and identifies its pushes, and says what equation (2)
-  gets wrong. `difffric paper` prints it.
+- `published_tables` holds the paper's tables and formulas; `paper` says what equation (2)
+  gets wrong in them, and what mends it; `next_push` which push would settle what they leave open.
+  `difffric paper` prints it.
 - `sampling` says what a sampling rate costs, by samples of an exact push.
 - `centering_runs` centres many hidden rings on simulated machines; `other_centering` has the other
   ways that it compares with.

@@ -76,7 +76,8 @@ def determine(fit: Fit, names: Sequence[str]) -> list[Proposal]:
     rig = parameters.with_values(fit.rig, {"mu_s": mu})
     seen, by = differentiate_columns(rig, v, labels)
     J = np.stack([by.peak_force.T, by.sliding_distance.T], axis=1)
-    sd = np.stack(assume_errors(seen.peak_force, seen.sliding_distance), axis=1)
+    F, d = np.asarray(seen.peak_force), np.asarray(seen.sliding_distance)
+    sd = np.stack(assume_errors(F, d), axis=1)
     J = np.nan_to_num(J / sd[:, :, None])
     after = np.stack([_add_rows(C, rows) for rows in J])
     out = []

@@ -229,7 +229,7 @@ def study(progress: Tell = silent) -> Paper:
         hide(measured, nothing, ~nothing), peak_force_se=np.full(len(measured), np.nan)
     )
     no_drag = parameters.with_values(rig, {"k_v_N_s_per_m": 0.0})
-    by_force = fit(no_drag, forces, free=("k_N_per_m", "b_N_s_per_m"))
+    by_force = fit(no_drag, forces, free=("k_N_per_m", "b_N_s_per_m"), several_starts=False)
     plain = fit(rig, reachable)
     progress("judging each speed by the others, equation (2)", 0.06)
     starts = [Setup(plain.rig)] * (int(folds.max()) + 1)
@@ -273,8 +273,8 @@ def _propose(found: Explanation, extended: Fit) -> list[Proposal]:
             for x in (found.best.parts - rival.parts, rival.parts - found.best.parts)
         )
         out.append(tell_apart(extended.rig, other, f"{gone} or {instead}"))
-    known = [x for x in extended.free if extended.standard_error(x)]
-    loose = sorted(known, key=lambda x: -extended.standard_error(x) / extended.value(x))
+    share = {x: (extended.standard_error(x) or 0.0) / extended.value(x) for x in extended.free}
+    loose = sorted(share, key=lambda x: -share[x])
     return out + determine(extended, loose[:3])
 
 

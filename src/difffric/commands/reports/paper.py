@@ -17,6 +17,7 @@ _NAMES = {
     "friction_ratio": "another mu_k / mu_s",
 }
 _FAST = 5000.0
+"""The speed [mm/min] of the paper's Table V."""
 
 
 def report_paper(paper: Paper) -> Report:
@@ -160,7 +161,11 @@ def _describe_open(paper: Paper) -> tuple[str, ...]:
             f"{', '.join(name_part(x) for x in instead)} in place of "
             f"{', '.join(name_part(x) for x in gone)} explains the 24 numbers nearly as well "
             f"(chi-square {rival.cost:.1f} against {best.cost:.1f})."
-            + (" Equation (3) speaks against it." if "b_N_s_per_m" in instead else "")
+            + (
+                " The paper's own simulation, by (3), had no such damper."
+                if "b_N_s_per_m" in instead
+                else ""
+            )
         )
     lines += [
         f"Not determined by themselves: {', '.join(x['parameters'])}. {x['reason']}."

@@ -53,7 +53,7 @@ _NONE = -30.0
 
 
 @dataclass(frozen=True)
-class Combination:
+class CauseCombination:
     """A spring with some parts, where it fits best."""
 
     parts: frozenset[str]
@@ -93,7 +93,7 @@ class BeamSearch:
         """What one number must buy (Schwarz's criterion)."""
         return float(np.log(2 * len(self.table.log_mu)))
 
-    def run(self) -> list[list[Combination]]:
+    def run(self) -> list[list[CauseCombination]]:
         """The combinations of each stage, the best first: the spring alone, one part, two, ..."""
         stages = [self._start()]
         for count in range(1, MOST + 1):
@@ -106,12 +106,12 @@ class BeamSearch:
             stages.append(self._choose(starts, sure))
         return stages
 
-    def refine(self, one: Combination) -> Combination:
+    def refine(self, one: CauseCombination) -> CauseCombination:
         """The combination at its optimum, as far as a longer descent leads."""
         points, cost = self.table.descend(one.points, 3 * _LAST)
         return self._make(one.parts, points, float(cost[0]))
 
-    def leave_out_each(self, one: Combination) -> dict[str, Combination]:
+    def leave_out_each(self, one: CauseCombination) -> dict[str, CauseCombination]:
         """The combination without each of its parts, all else fitted anew."""
         parts, rows, free = sorted(one.parts), [], []
         for part in parts:
@@ -126,7 +126,7 @@ class BeamSearch:
             for j, part in enumerate(parts)
         }
 
-    def list_swapped(self, one: Combination) -> list[Combination]:
+    def list_swapped(self, one: CauseCombination) -> list[CauseCombination]:
         """The combinations that have another part in place of one, the best first."""
         names = self.table.model.coordinates.names
         starts = []
@@ -135,7 +135,7 @@ class BeamSearch:
             gone = self._list_numbers(part)
             c[gone] = self._find_none(part)
             free = tuple(i for i in one.points.free[0] if i not in gone)
-            bare = Combination(one.parts - {part}, Points(c[None], (free,)), np.inf, np.inf)
+            bare = CauseCombination(one.parts - {part}, Points(c[None], (free,)), np.inf, np.inf)
             starts += [s for s in self._add_parts([bare], 1) if s.parts != one.parts]
         stiffness = np.array([name == STIFFNESS for name in names])
         starts += [  # a damper on approach may stand in for part of the stiffness, or be in its way
@@ -143,7 +143,7 @@ class BeamSearch:
         ]
         return self._choose(starts, set(), most=len(starts))
 
-    def _start(self) -> list[Combination]:
+    def _start(self) -> list[CauseCombination]:
         """The spring alone."""
         names = self.table.model.coordinates.names
         c = np.repeat(self.base[None], len(_SOFTER), axis=0)
@@ -155,7 +155,7 @@ class BeamSearch:
         best = np.argmin(cost)
         return [self._make(frozenset(), points.pick(np.array([best])), float(cost[best]))]
 
-    def _add_parts(self, beam: list[Combination], count: int) -> list[_Start]:
+    def _add_parts(self, beam: list[CauseCombination], count: int) -> list[_Start]:
         """Every combination with so many parts more, from all sizes of these."""
         starts = []
         for one in beam:
@@ -172,7 +172,7 @@ class BeamSearch:
 
     def _choose(
         self, starts: list[_Start], sure: set[frozenset[str]], most: int = _RANKED
-    ) -> list[Combination]:
+    ) -> list[CauseCombination]:
         """The best combinations, each where it fits best."""
         points = Points(np.array([s.c for s in starts]), tuple(s.free for s in starts))
         parts = [s.parts for s in starts]
@@ -194,7 +194,7 @@ class BeamSearch:
         ]
         return sorted(found, key=lambda one: one.penalised)[:_BEAM]
 
-    def _list_missing(self, one: Combination) -> list[str]:
+    def _list_missing(self, one: CauseCombination) -> list[str]:
         every = (*self.dampers, *self.effects)
         return [part for part in every if part not in one.parts]
 
@@ -222,8 +222,8 @@ class BeamSearch:
             sizes = [values for values in sizes if max(values.values()) < longest]
         return [coordinates.point(values) for values in sizes]
 
-    def _make(self, parts: frozenset[str], points: Points, cost: float) -> Combination:
-        return Combination(parts, points, cost, cost + self.price * len(points.free[0]))
+    def _make(self, parts: frozenset[str], points: Points, cost: float) -> CauseCombination:
+        return CauseCombination(parts, points, cost, cost + self.price * len(points.free[0]))
 
 
 def _thin(sizes: list[list[float]]) -> list[list[float]]:

@@ -15,7 +15,7 @@ from difffric.diagnosis.combinations.beam_search import (
     DAMPING,
     VISCOSITY,
     BeamSearch,
-    Combination,
+    CauseCombination,
 )
 from difffric.diagnosis.combinations.robust_descent import KnownFriction, Points
 from difffric.diagnosis.data import prepare_data
@@ -48,31 +48,31 @@ class Explanation:
     setup: Setup
     """the plain set-up"""
     table: KnownFriction
-    stages: tuple[Combination, ...]
+    stages: tuple[CauseCombination, ...]
     """the best of each number of parts, from none"""
-    best: Combination
-    without: dict[str, Combination]
+    best: CauseCombination
+    without: dict[str, CauseCombination]
     """the best one without each of its parts, all else fitted anew"""
-    rivals: tuple[Combination, ...]
+    rivals: tuple[CauseCombination, ...]
     """others that the data hardly tell from it, the best first"""
     held_out: tuple[float, ...]
     """the error of each stage on held-out pushes, in units of the standard errors"""
     blind: tuple[Points, ...]
     """of each stage, where it stands without the pushes of each fold"""
 
-    def list_values(self, one: Combination) -> dict[str, float]:
+    def list_values(self, one: CauseCombination) -> dict[str, float]:
         """The numbers of a combination [SI] by name."""
         coordinates = self.table.model.coordinates
         names = [coordinates.names[i] for i in one.points.free[0]]
         return dict(zip(names, coordinates.values(one.points.c[0], names), strict=True))
 
-    def list_blind(self, one: Combination) -> list[Combination]:
+    def list_blind(self, one: CauseCombination) -> list[CauseCombination]:
         """A stage's combination where it stands without the pushes of each fold."""
         ends = self.blind[self.stages.index(one)]
         each = (ends.pick(np.array([j])) for j in range(len(ends.c)))
         return [replace(one, points=replace(points, seen=None)) for points in each]
 
-    def extend_setup(self, one: Combination) -> Setup:
+    def extend_setup(self, one: CauseCombination) -> Setup:
         """The set-up with a combination's parts, which alone are free beside the stiffness."""
         values = self.list_values(one)
         plain = {DAMPING: 0.0, VISCOSITY: 0.0} | {n: x for n, x in values.items() if n in PLAIN}

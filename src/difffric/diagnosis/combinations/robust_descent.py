@@ -19,6 +19,7 @@ _SCALE = 2.5
 _FARTHEST = 0.7
 """No step moves a coordinate further: a factor of two, or as much of what is typical."""
 _RIDGE = 1e-9
+"""Added to a unit diagonal, so that equations that say nothing of a number have a solution."""
 _ARRIVED = 3e-3
 """A step that gains no more is the last."""
 _STUCK = 1e3
@@ -119,7 +120,8 @@ class KnownFriction:
         """(n, 2) squared errors, in units of the standard errors, of each push where the point of
         `leave_out_folds` stands that has not seen it."""
         squares = self.measure_squares(replace(ends, seen=None))
-        return squares[np.argmin(ends.seen, axis=0), np.arange(len(self.log_mu))]
+        blind = np.argmin(np.asarray(ends.seen), axis=0)
+        return squares[blind, np.arange(len(self.log_mu))]
 
     def _find_limits(self) -> tuple[NDArray, NDArray]:
         coordinates = self.model.coordinates

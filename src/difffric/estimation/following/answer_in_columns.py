@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from difffric.compute import pytrees
 from difffric.compute.dual_numbers import Dual, new_level, split
 from difffric.estimation.effect_coordinates import Coordinates
 from difffric.rig import catalogue
@@ -36,7 +37,33 @@ def list_served(rig: Rig) -> frozenset[str]:
         return _list_served.__wrapped__(rig)
 
 
-def find_active(coordinates: Coordinates, c: NDArray, directions: NDArray) -> dict[str, NDArray]:
+def answer_in_columns(
+    coordinates: Coordinates, plain: Rig, pushes: Any, c: NDArray, directions: NDArray
+) -> tuple[NDArray, NDArray, NDArray]:
+    """What `extended_model` answers for N pairs: Gram matrices (N, 2, D + 1, D + 1), F_p and d
+    (N, 2), whitened residuals (N, 2, 1).
+
+    `pushes` are theirs, c (N, K) their coordinates, directions (N, D, K) those of derivatives.
+    Pairs that have to be stepped through go apart, as that takes longer than the closed form.
+    """
+    active = _find_active(coordinates, c, directions)
+    bends = np.zeros(len(c), bool)
+    for effect in BENDING:
+        bends |= active.get(effect, False)
+    model, by = np.empty((len(c), 2)), np.zeros((len(c), 2, directions.shape[1]))
+    for which in (np.flatnonzero(~bends), np.flatnonzero(bends)):
+        if len(which):
+            effects = [e for e, there in active.items() if there[which].any()]
+            own = coordinates, plain, pytrees.pick(pushes, which), c[which], directions[which]
+            model[which], by[which] = _observe(*own, effects)
+    measured, weight = pushes.data
+    # Where the part never leaves the tip it slides no distance: d counts as 0.
+    r = weight * (measured - np.where(np.isnan(model), 0.0, model))
+    A = np.concatenate([-weight[:, :, None] * by, r[:, :, None]], axis=2)
+    return A[:, :, :, None] * A[:, :, None, :], model, r[:, :, None]
+
+
+def _find_active(coordinates: Coordinates, c: NDArray, directions: NDArray) -> dict[str, NDArray]:
     """Effect -> whether it is there, or is differentiated by, in each of N pairs of coordinates c
     (N, K) and directions (N, D, K); effects that are nowhere there are left out."""
     found: dict[str, NDArray] = {}
@@ -49,7 +76,7 @@ def find_active(coordinates: Coordinates, c: NDArray, directions: NDArray) -> di
     return {effect: there for effect, there in found.items() if there.any()}
 
 
-def answer_columns(
+def _observe(
     coordinates: Coordinates,
     plain: Rig,
     pushes: Any,

@@ -46,7 +46,7 @@ _NEARLY_ALL = 0.95
 """A share of a step above this is no reason to take a shorter one."""
 
 
-class Course(NamedTuple):
+class LegCourse(NamedTuple):
     """What holds all along a leg; each lane has its own."""
 
     rig: Rig
@@ -62,7 +62,7 @@ class Course(NamedTuple):
     """the speed [m/s] likewise"""
 
     @classmethod
-    def of(cls, rig: Rig, u: Any, v_p: Any, until: Any) -> Course:
+    def of(cls, rig: Rig, u: Any, v_p: Any, until: Any) -> LegCourse:
         """The course of a leg that begins with the part at u [m/s]."""
         k = plain(xp.slope(lambda z: rig.contact.approach(z, 0.0), v_p))
         weight = plain(rig.friction.breakaway(rig.F_N))
@@ -72,13 +72,13 @@ class Course(NamedTuple):
         return cls(rig, v_p, until, time, z_ref, np.maximum(u_ref, _SLOW * z_ref / time))
 
 
-Acceleration = Callable[[Course, Any, Any], Any]
+Acceleration = Callable[[LegCourse, Any, Any], Any]
 """(course, z, u) -> x'' [m/s^2] in a mode."""
-Look = Callable[[Course, Any, Any, Any], tuple[Any, Any]]
+Look = Callable[[LegCourse, Any, Any, Any], tuple[Any, Any]]
 """(course, z, u, x'') -> (value, its rate in time) of a guard."""
 
 
-class Guard(NamedTuple):
+class LegGuard(NamedTuple):
     """What ends a leg: an event where a value falls through zero."""
 
     event: Event
@@ -93,7 +93,7 @@ class LegMode(NamedTuple):
     """How a leg goes on and what ends it."""
 
     accelerate: Acceleration
-    guards: tuple[Guard, ...] = ()
+    guards: tuple[LegGuard, ...] = ()
     """at a tie the one named first"""
     looser: float = 1.0
     """how many times as much a step may err"""
@@ -134,7 +134,7 @@ class _Walk(NamedTuple):
 
 
 def take_step(
-    accelerate: Acceleration, course: Course, z: Any, u: Any, a: Any, h: Any
+    accelerate: Acceleration, course: LegCourse, z: Any, u: Any, a: Any, h: Any
 ) -> tuple[Any, Any, Any]:
     """(z, u, error) after one step of h [s] from a state whose x'' is `a`; a step's error may be
     1."""
@@ -157,7 +157,7 @@ def take_step(
     return z + h * weigh(WEIGHTS, ws), u + h * weigh(WEIGHTS, rates), error
 
 
-def follow_leg(mode: LegMode, course: Course, z: Any, u: Any) -> LegEnd:
+def follow_leg(mode: LegMode, course: LegCourse, z: Any, u: Any) -> LegEnd:
     """Follow a leg from (z, u) to its first event, at the latest to the time at which it ends."""
     given = z, u, course.v_p, course.until, course.time
     n = np.broadcast_shapes((1,), *(np.shape(plain(x)) for x in given))[0]
@@ -170,7 +170,7 @@ def follow_leg(mode: LegMode, course: Course, z: Any, u: Any) -> LegEnd:
     return _arrive(mode, course, walk, until)
 
 
-class _Bracket(NamedTuple):
+class _RootSearch(NamedTuple):
     """Where the search for a root stands, and between which times it lies."""
 
     t: Any
@@ -182,7 +182,7 @@ class _Bracket(NamedTuple):
 
 
 def find_root(
-    accelerate: Acceleration, look: Look, course: Course, z: Any, u: Any, h: Any
+    accelerate: Acceleration, look: Look, course: LegCourse, z: Any, u: Any, h: Any
 ) -> NDArray:
     """When a guard falls within a step of h [s] from (z, u), as a plain number, by Newton's steps
     within a bracket.
@@ -192,21 +192,21 @@ def find_root(
     """
     firm = map_tree(plain, (course._replace(until=0.0), z, u))
 
-    def improve(s: _Bracket, firm: Any, h: NDArray) -> _Bracket:
+    def improve(s: _RootSearch, firm: Any, h: NDArray) -> _RootSearch:
         course, z, u = firm
         z_1, u_1, _ = take_step(accelerate, course, z, u, accelerate(course, z, u), s.t)
         value, rate = look(course, z_1, u_1, accelerate(course, z_1, u_1))
         lo, hi = np.where(value > 0, s.t, s.lo), np.where(value > 0, s.hi, s.t)
         t = s.t - value / np.where(rate == 0, -1e-300, rate)
         t = np.where((t >= lo) & (t <= hi), t, 0.5 * (lo + hi))
-        return _Bracket(t, lo, hi, np.abs(t - s.t) > _EXACT * h, s.count + 1)
+        return _RootSearch(t, lo, hi, np.abs(t - s.t) > _EXACT * h, s.count + 1)
 
     h = np.asarray(h, float)
-    start = _Bracket(0.5 * h, np.zeros_like(h), h, h > 0, np.zeros(h.shape, int))
+    start = _RootSearch(0.5 * h, np.zeros_like(h), h, h > 0, np.zeros(h.shape, int))
     return repeat_while(lambda s: s.moves & (s.count < _TRIES), improve, start, firm, h).t
 
 
-def _walk_on(mode: LegMode, walk: _Walk, course: Course, until: NDArray) -> _Walk:
+def _walk_on(mode: LegMode, walk: _Walk, course: LegCourse, until: NDArray) -> _Walk:
     """One step: taken, to be taken again for its error, or the last one."""
     rest = until - walk.t
     last = walk.h >= rest
@@ -255,7 +255,7 @@ class _Falls(NamedTuple):
     within it; 1: all of it"""
 
 
-def _find_fallen(mode: LegMode, course: Course, start: tuple, end: tuple, h: NDArray) -> _Falls:
+def _find_fallen(mode: LegMode, course: LegCourse, start: tuple, end: tuple, h: NDArray) -> _Falls:
     """Which guards fall in a step of h [s] between two states (z, u, x'')."""
     fallen, shorter = np.zeros(h.shape, int), np.ones(h.shape)
     firm = map_tree(plain, course._replace(until=0.0))
@@ -297,7 +297,7 @@ def _find_dip(f_0: NDArray, d_0: NDArray, f_1: NDArray, d_1: NDArray) -> tuple[N
 
 
 def _note_summit(
-    mode: LegMode, course: Course, top: tuple, start: tuple, end: tuple, h: NDArray
+    mode: LegMode, course: LegCourse, top: tuple, start: tuple, end: tuple, h: NDArray
 ) -> tuple[Any, Any, Any]:
     """The step in which the force is highest: the first, which a closing has no second of."""
     if mode.rising is None:
@@ -309,7 +309,7 @@ def _note_summit(
     return xp.where(here, z, top[0]), xp.where(here, u, top[1]), xp.where(here, h, top[2])
 
 
-def _arrive(mode: LegMode, course: Course, walk: _Walk, until: NDArray) -> LegEnd:
+def _arrive(mode: LegMode, course: LegCourse, walk: _Walk, until: NDArray) -> LegEnd:
     """The end of the last step, cut at the first guard that falls in it."""
     n = len(until)
     rest = until - walk.t

@@ -21,9 +21,9 @@ from difffric.simulation.events import Event
 from difffric.simulation.force_latch import ForceFall
 from difffric.simulation.leg import Leg
 from difffric.simulation.stepping.column_steps import (
-    Course,
-    Guard,
+    LegCourse,
     LegEnd,
+    LegGuard,
     LegMode,
     find_root,
     follow_leg,
@@ -52,11 +52,11 @@ class SteppedLegs(ClosedForm):
         self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number, may_halt: bool
     ) -> Leg:
         """The tip closes in on the part, until w = 0, the part halts or the pusher stops."""
-        halting = (Guard(Event.HALT, _halting),) if may_halt else ()
+        halting = (LegGuard(Event.HALT, _halting),) if may_halt else ()
         damped = np.any(plain(_find_damping(rig, v_p)) > 0)  # else it is highest at the turn
         rising = _rising if damped else None
-        mode = LegMode(_approach, (Guard(Event.TURN, _turning), *halting), rising=rising)
-        course = Course.of(rig, u, v_p, left)
+        mode = LegMode(_approach, (LegGuard(Event.TURN, _turning), *halting), rising=rising)
+        course = LegCourse.of(rig, u, v_p, left)
         end = follow_leg(mode, course, z, u)
         u_1 = _settle_speed(end, v_p)
         at_end = rig.contact.approach(end.z, v_p - u_1)
@@ -67,8 +67,10 @@ class SteppedLegs(ClosedForm):
 
     def follow_rebounding(self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number) -> Leg:
         """The part recedes from the tip, until release, w = 0 or the pusher's stop."""
-        mode = LegMode(_rebound, (Guard(Event.RELEASE, _parting), Guard(Event.TURN, _returning)))
-        course = Course.of(rig, u, v_p, left)
+        mode = LegMode(
+            _rebound, (LegGuard(Event.RELEASE, _parting), LegGuard(Event.TURN, _returning))
+        )
+        course = LegCourse.of(rig, u, v_p, left)
         # Where the tip has just stopped a damper may pull at once. (By more than the rounding of a
         # part that was caught on this very edge.)
         least = -_ROUNDING * plain(rig.friction.breakaway(rig.F_N))
@@ -85,20 +87,20 @@ class SteppedLegs(ClosedForm):
         self, rig: Rig, z: Number, u: Number, v_p: Number, left: Number, may_catch: bool
     ) -> Leg:
         """The part slides without contact, until rest, the pusher's stop or the next contact."""
-        guards = (Guard(Event.HALT, _halting),)
+        guards = (LegGuard(Event.HALT, _halting),)
         if may_catch:
-            guards = (Guard(Event.CATCH, _reaching, lambda z, _: z <= 0), *guards)
+            guards = (LegGuard(Event.CATCH, _reaching, lambda z, _: z <= 0), *guards)
         if may_catch and rig.contact.parts_early:
-            guards = (Guard(Event.CATCH, _gripping, within=True), *guards)
+            guards = (LegGuard(Event.CATCH, _gripping, within=True), *guards)
         mode = LegMode(_slide, guards, looser=_LOOSER, may_be_steady=False)
-        end = follow_leg(mode, Course.of(rig, u, v_p, left if may_catch else np.inf), z, u)
+        end = follow_leg(mode, LegCourse.of(rig, u, v_p, left if may_catch else np.inf), z, u)
         u_1, caught = _settle_speed(end, v_p), end.event == Event.CATCH
         z_1 = xp.where(caught, xp.where(plain(end.z) > self._find_reach(rig), end.z, 0.0), end.z)
         return Leg(end.dt, end.event, z_1, u_1, z + v_p * end.dt - end.z, 0.0)
 
     def _find_reach(self, rig: Rig) -> Any:
         """A compression [m] below which there is none but by rounding."""
-        course = Course.of(rig, 0.0, 0.0, 0.0)
+        course = LegCourse.of(rig, 0.0, 0.0, 0.0)
         return _ROUNDING * course.z_ref
 
     def find_force_fall(
@@ -107,9 +109,9 @@ class SteppedLegs(ClosedForm):
         """How the force goes along a pushed leg of dt [s], beside the threshold of the probe's
         latch; where it falls through it, `last` is the force there."""
         law = rig.contact.approach if closing else rig.contact.rebound
-        guard = Guard(Event.FORCE_PEAK, partial(_falling, closing), lambda _, above: above >= 0)
+        guard = LegGuard(Event.FORCE_PEAK, partial(_falling, closing), lambda _, above: above >= 0)
         mode = LegMode(_approach if closing else _rebound, (guard,))
-        end = follow_leg(mode, Course.of(rig, u, v_p, xp.where(xp.isfinite(dt), dt, 0.0)), z, u)
+        end = follow_leg(mode, LegCourse.of(rig, u, v_p, xp.where(xp.isfinite(dt), dt, 0.0)), z, u)
         time = xp.where(end.event == Event.FORCE_PEAK, end.dt, np.inf)
         return ForceFall(law(z, v_p - u), law(end.z, v_p - end.u), time)
 
@@ -118,59 +120,59 @@ class SteppedLegs(ClosedForm):
     ) -> tuple[Any, Any]:
         """(z, u) at the time t into a pushed leg; all lanes close in, or none does."""
         mode = LegMode(_approach if np.all(closing) else _rebound)
-        end = follow_leg(mode, Course.of(rig, u, v_p, t), z, u)
+        end = follow_leg(mode, LegCourse.of(rig, u, v_p, t), z, u)
         return end.z, end.u
 
     def evaluate_free(self, rig: Rig, u: Number, t: Number) -> tuple[Any, Any]:
         """(distance, u) at the time t into a free leg."""
-        end = follow_leg(LegMode(_slide, may_be_steady=False), Course.of(rig, u, 0.0, t), 0.0, u)
+        end = follow_leg(LegMode(_slide, may_be_steady=False), LegCourse.of(rig, u, 0.0, t), 0.0, u)
         return -end.z, end.u
 
 
-def _approach(course: Course, z: Any, u: Any) -> Any:
+def _approach(course: LegCourse, z: Any, u: Any) -> Any:
     return course.rig.approaching(z, course.v_p - u, u)
 
 
-def _rebound(course: Course, z: Any, u: Any) -> Any:
+def _rebound(course: LegCourse, z: Any, u: Any) -> Any:
     return course.rig.rebounding(z, course.v_p - u, u)
 
 
-def _slide(course: Course, z: Any, u: Any) -> Any:
+def _slide(course: LegCourse, z: Any, u: Any) -> Any:
     return course.rig.free(u)
 
 
-def _turning(course: Course, z: Any, u: Any, a: Any) -> tuple[Any, Any]:
+def _turning(course: LegCourse, z: Any, u: Any, a: Any) -> tuple[Any, Any]:
     """A closing ends where the part is as fast as the tip."""
     return course.v_p - u, -a
 
 
-def _returning(course: Course, z: Any, u: Any, a: Any) -> tuple[Any, Any]:
+def _returning(course: LegCourse, z: Any, u: Any, a: Any) -> tuple[Any, Any]:
     """A rebound ends there too."""
     return u - course.v_p, a
 
 
-def _halting(course: Course, z: Any, u: Any, a: Any) -> tuple[Any, Any]:
+def _halting(course: LegCourse, z: Any, u: Any, a: Any) -> tuple[Any, Any]:
     return u, a
 
 
-def _parting(course: Course, z: Any, u: Any, a: Any) -> tuple[Any, Any]:
+def _parting(course: LegCourse, z: Any, u: Any, a: Any) -> tuple[Any, Any]:
     """Contact is lost where the force, over the stiffness, falls to zero."""
     lever, w = _find_lever(course.rig, course.v_p), course.v_p - u
     return z + lever * w, w - lever * a
 
 
-def _reaching(course: Course, z: Any, u: Any, a: Any) -> tuple[Any, Any]:
+def _reaching(course: LegCourse, z: Any, u: Any, a: Any) -> tuple[Any, Any]:
     """A part beyond the spring's reach is caught where it is back."""
     return -z, u - course.v_p
 
 
-def _gripping(course: Course, z: Any, u: Any, a: Any) -> tuple[Any, Any]:
+def _gripping(course: LegCourse, z: Any, u: Any, a: Any) -> tuple[Any, Any]:
     """A part within it is caught where a damped rebound pushes again."""
     lever, w = _find_lever(course.rig, course.v_p), course.v_p - u
     return -(z + lever * w), lever * a - w
 
 
-def _falling(closing: bool, course: Course, z: Any, u: Any, a: Any) -> tuple[Any, Any]:
+def _falling(closing: bool, course: LegCourse, z: Any, u: Any, a: Any) -> tuple[Any, Any]:
     """The force, above the threshold of a latch."""
     rig, w = course.rig, course.v_p - u
     law = rig.contact.approach if closing else rig.contact.rebound
@@ -179,7 +181,7 @@ def _falling(closing: bool, course: Course, z: Any, u: Any, a: Any) -> tuple[Any
     return law(z, w) - rig.probe.latch, by_z * w - by_w * a
 
 
-def _rising(course: Course, z: Any, u: Any, a: Any) -> tuple[Any, Any]:
+def _rising(course: LegCourse, z: Any, u: Any, a: Any) -> tuple[Any, Any]:
     """The rate of a closing's force, which falls through zero at its summit."""
     w, b = course.v_p - u, _find_damping(course.rig, course.v_p)
     k = xp.slope(lambda z: course.rig.contact.approach(z, 0.0), course.v_p)
@@ -205,7 +207,7 @@ def _settle_speed(end: LegEnd, v_p: Any) -> Any:
     return xp.where(end.event == Event.HALT, 0.0, u)
 
 
-def _find_summit(course: Course, end: LegEnd) -> Any:
+def _find_summit(course: LegCourse, end: LegEnd) -> Any:
     """The force [N] at its summit within a closing; 0 where there is none."""
     z, u, h = end.top
     if not np.any(h > 0):
