@@ -81,10 +81,18 @@ def test_so_do_their_first_derivatives(name):
     np.testing.assert_allclose(stepped / size, exact / size, atol=1e-5)
 
 
-@pytest.mark.parametrize("effect", ["stribeck", "quadratic_drag"])
-@pytest.mark.parametrize("stroke", [None, 2e-3])
-def test_friction_that_bends_with_the_speed_is_that_of_the_compiled_stepper(effect, stroke):
-    rig, v = _draw((effect, "rebound_damping"), stroke=stroke, n=100)
+@pytest.mark.parametrize(
+    ("effects", "stroke"),
+    [
+        (("stribeck",), None),
+        (("quadratic_drag", "rebound_damping"), 2e-3),
+        (("stribeck", *ALL), None),
+    ],
+    ids=["stribeck", "drag", "all"],
+)
+def test_friction_that_bends_with_the_speed_is_that_of_the_compiled_stepper(effects, stroke):
+    """With a latch too: a tip that stops may let a damped rebound go at once, at any force."""
+    rig, v = _draw(effects, stroke=stroke, n=100)
     assert serves(rig) and not rig.affine
     columns = observe_columns(rig, v)
     lanes = jax.tree.map(lambda x: jnp.broadcast_to(jnp.asarray(x, float), v.shape), rig)

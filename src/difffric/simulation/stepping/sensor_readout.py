@@ -232,6 +232,8 @@ def _detect_loss(
     x = stop_gradient(x)
     g, d = jax.jvp(lambda share: sum_powers(N, share) - level, (x,), (jnp.ones_like(x),))
     x = x - g / jnp.where(d == 0, 1.0, d)  # carries the derivatives
+    # A tip that stops may let go at once: the force then falls at the stride's end, by a jump.
+    x = jnp.where(stop_gradient(sum(N)) < level, x, stride.end)
     share = jnp.where(level > 0, jnp.where(falls, x, 0.0), stride.end)
     t = stride.t + share * stride.h
     crossed = (falls | jumps) & ~(latches & seen.crossed)
