@@ -187,7 +187,7 @@ def draw_errors(paper: Paper) -> Figure:
             ax.xaxis.set_major_formatter(matplotlib.ticker.StrMethodFormatter("{x:.0f}"))
             ax.xaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
         axes[0].set_ylabel(r"error of $\mu_s$ [%]")
-        axes[-1].legend(fontsize=7)
+        axes[-1].legend(fontsize=7, loc="upper right")
     return figure
 
 

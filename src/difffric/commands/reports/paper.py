@@ -61,7 +61,7 @@ def report_paper(paper: Paper) -> Report:
                 "The extended model, and what each part buys",
                 (
                     "From the spring alone the search adds one part after the other, or two at "
-                    "once, of all that the catalogue has; b and k_v count as parts like any other. "
+                    "once, of the effects that a table can show; b and k_v count as parts too. "
                     "Errors on held-out pushes, all of one speed at a time, are in units of the "
                     "errors assumed: 2 % beside 3 N and 15 µm. The structure was chosen on all six "
                     "speeds, its numbers without the one that is judged.",
@@ -125,8 +125,13 @@ def _summarise(paper: Paper) -> list[str]:
     ]
     if paper.explanation.rivals:
         one = paper.proposals[0]
+        best, rival = paper.explanation.best.parts, paper.explanation.rivals[0].parts
+        gone, instead = (
+            " and ".join(name_part(x) for x in sorted(parts))
+            for parts in (best - rival, rival - best)
+        )
         lines.append(
-            f"What the data cannot settle: {one.purpose}. One push of a part with mu_s = "
+            f"What the data cannot settle: “{gone}” or “{instead}”. One push of a part with mu_s = "
             f"{one.mu_s:g} at {one.velocity_mm_min:.0f} mm/min would: the two differ there by "
             f"{one.after:.0f} standard errors."
         )
@@ -217,8 +222,10 @@ def _tabulate_slopes(paper: Paper) -> Table:
             ]
         )
     rows.append(["(3) as printed", "0.0529", "146.2", *["146"] * len(at)])
-    columns = ("", "C_v [N min/mm]", "C_mu [N]", *(f"{v:.0f} mm/min" for v in at))
-    return Table("dF_p/dmu_s [N] over mu_s of 0.05 to 0.30", columns, rows)
+    columns = ("", "C_v [N min/mm]", "C_mu [N]", *(f"{v:.0f}" for v in at))
+    return Table(
+        "Equation (3) by each model, and dF_p/dmu_s [N] at 500 to 5000 mm/min", columns, rows
+    )
 
 
 def _tabulate_stages(paper: Paper) -> Table:
@@ -249,12 +256,12 @@ def _tabulate_parameters(paper: Paper) -> Table:
         rows.append(
             [
                 name,
-                format_with_error(fit.value(name), error),
+                f"{fit.value(name):.4g}" + (f" ± {error:.2g}" if error else ""),
                 "" if not error else f"{100 * error / abs(fit.value(name)):.0f} %",
                 f"{drops[part]:.0f}" if part in drops else "",
             ]
         )
-    columns = ("parameter [SI]", "value", "error", "chi-square without it")
+    columns = ("parameter [SI]", "value", "error", "chi-square more without it")
     return Table("The extended model, on all 24 measurements", columns, rows)
 
 
