@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,8 +11,9 @@ import difffric as df
 from difffric.diagnosis.combinations.explanation import explain_table
 from difffric.rig import parameters
 from difffric.simulation.columns import observe_columns
-from tests.hidden.case import MM_MIN, TABLE, Case, Noise, Push
+from tests.hidden.case import MM_MIN, RECORDINGS, TABLE, Case, Noise, Push
 from tests.hidden.simulate import readings
+from tests.unit.diagnosis.analysis import Analysis
 
 HIDDEN = {
     "rebound_damping": {"b_N_s_per_m": 2600.0},
@@ -23,8 +26,8 @@ SPEEDS = (500, 800, 1000, 1500, 2000, 3000, 4000, 5000)
 FRICTIONS = {"DRY": 0.141, "WET": 0.115}
 
 
-def _measure(speeds, seed):
-    """The table that the hidden rig gives at these speeds [mm/min], mu_s known by a gauge."""
+def _make_case(speeds, seed, hidden, kind=TABLE, **more):
+    """A rig with these effects hidden, pushed at these speeds [mm/min] in two conditions."""
     pushes = [
         Push(v * MM_MIN, mu, i, 1.0, name)
         for name, mu in FRICTIONS.items()
@@ -37,7 +40,14 @@ def _measure(speeds, seed):
         "k_N_per_m": 5.6e5,
         "b_N_s_per_m": 0.0,
     }
-    case = Case(seed, TABLE, rig, FRICTIONS, 0.0, pushes, HIDDEN, stroke=None, noise=NOISE)
+    given = {"stroke": None, "noise": NOISE, **more}
+    return Case(seed, kind, rig, FRICTIONS, 0.0, pushes, hidden, **given)
+
+
+def _measure(speeds, seed, hidden=HIDDEN):
+    """The table that such a rig gives, mu_s known by a gauge."""
+    case = _make_case(speeds, seed, hidden)
+    pushes = case.pushes
     F, d = readings(case).T
     rng = np.random.default_rng(seed)
     n = len(pushes)
@@ -57,11 +67,14 @@ def table():
     return _measure(SPEEDS, 5)
 
 
+def _explain(table):
+    rough = df.spring_damper_rig(mass=18.9, mu_s=0.13, k=8.5e5, b=1200.0, k_v=10.0)
+    return explain_table(rough, table, np.unique(table.velocity, return_inverse=True)[1])
+
+
 @pytest.fixture(scope="module")
 def found(table):
-    rough = df.spring_damper_rig(mass=18.9, mu_s=0.13, k=8.5e5, b=1200.0, k_v=10.0)
-    folds = np.unique(table.velocity, return_inverse=True)[1]
-    return explain_table(rough, table, folds)
+    return _explain(table)
 
 
 def test_a_loss_a_latch_and_a_duration_are_named_together(found):
@@ -109,3 +122,33 @@ def test_what_a_fold_holds_out_does_not_move_its_end(found):
     ends = found.blind[len(found.best.parts)]
     assert len(ends.c) == len(SPEEDS)
     assert len(np.unique(ends.c, axis=0)) == len(SPEEDS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", HIDDEN)
+def test_each_alone_is_named_and_sized(effect):
+    """A latch alone shows where the tip stops at the first loss of contact: there it is nothing but
+    an early count."""
+    table = _measure(SPEEDS, 8, {effect: HIDDEN[effect]})
+    alone = _explain(table)
+    assert effect in alone.best.parts
+    fit = df.fit(alone.extend_setup(alone.best), table, several_starts=False)
+    for key, true in HIDDEN[effect].items():
+        name = f"{effect}.{key}"
+        assert abs(fit.value(name) - true) < 3 * fit.standard_error(name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "hidden", [("rebound_damping",), ("pusher_duration",), ("rebound_damping", "pusher_duration")]
+)
+def test_recordings_show_a_loss_above_b_and_a_duration(hidden, tmp_path):
+    """Alone and together; a latch is no matter of recordings, which hold the samples."""
+    effects = {effect: HIDDEN[effect] for effect in hidden}
+    case = _make_case((500, 1000, 2000, 4000), 9, effects, RECORDINGS, noise=Noise())
+    one = Analysis(replace(case, scatter=0.015), tmp_path)
+    causes = {cause.id: cause for cause in one.found.causes}
+    assert set(hidden) == set(causes)
+    for effect in hidden:
+        for key, (value, error) in causes[effect].parameters.items():
+            assert abs(value - HIDDEN[effect][key]) < 3 * error

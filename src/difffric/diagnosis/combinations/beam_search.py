@@ -84,8 +84,6 @@ class BeamSearch:
     """those that are looked for"""
     base: NDArray
     """(K,) coordinates of the plain rig as it was given"""
-    dampers: Sequence[str] = (DAMPING, VISCOSITY)
-    """parts of the plain model that may be there"""
     tell: Tell = silent
 
     @property
@@ -113,6 +111,8 @@ class BeamSearch:
 
     def leave_out_each(self, one: CauseCombination) -> dict[str, CauseCombination]:
         """The combination without each of its parts, all else fitted anew."""
+        if not one.parts:
+            return {}
         parts, rows, free = sorted(one.parts), [], []
         for part in parts:
             index = self._list_numbers(part)
@@ -128,6 +128,8 @@ class BeamSearch:
 
     def list_swapped(self, one: CauseCombination) -> list[CauseCombination]:
         """The combinations that have another part in place of one, the best first."""
+        if not one.parts:
+            return []
         names = self.table.model.coordinates.names
         starts = []
         for part in one.parts:
@@ -195,7 +197,7 @@ class BeamSearch:
         return sorted(found, key=lambda one: one.penalised)[:_BEAM]
 
     def _list_missing(self, one: CauseCombination) -> list[str]:
-        every = (*self.dampers, *self.effects)
+        every = (DAMPING, VISCOSITY, *self.effects)
         return [part for part in every if part not in one.parts]
 
     def _list_numbers(self, part: str) -> list[int]:
