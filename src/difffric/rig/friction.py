@@ -110,8 +110,8 @@ class AbstractFrictionEffect(AbstractFriction):
 
     @property
     def bends_smoothly(self) -> bool:
-        """An effect that bends its law otherwise sets this to False."""
-        return self.law.bends_smoothly
+        """An effect that bends its law by more than the speed sets this to False."""
+        return self.law.bends_smoothly and not self.uneven
 
     def sliding(self, u: Number, F_N: Number) -> Number:
         return self.law.sliding(u, F_N)
@@ -190,7 +190,6 @@ class Waviness(AbstractFrictionEffect):
     phase: Number = 0.0
     affine: ClassVar[bool] = False
     uneven: ClassVar[bool] = True
-    bends_smoothly: ClassVar[bool] = False
 
     def load(self, weight: Number, x: Number, beyond: Truth) -> Number:
         wave, _ = sin_cos(2 * pi * x / self.wavelength + self.phase)
@@ -208,7 +207,6 @@ class Patch(AbstractFrictionEffect):
     start: Number = inf
     affine: ClassVar[bool] = False
     uneven: ClassVar[bool] = True
-    bends_smoothly: ClassVar[bool] = False
 
     def load(self, weight: Number, x: Number, beyond: Truth) -> Number:
         return self.law.load(weight, x, beyond) * (1 + xp.where(beyond, self.amplitude, 0.0))
@@ -268,7 +266,6 @@ class Dwell(AbstractFrictionEffect):
     rest: Number = 0.0
     affine: ClassVar[bool] = False
     uneven: ClassVar[bool] = True
-    bends_smoothly: ClassVar[bool] = False
 
     def first_breakaway(self, F_N: Number) -> Number:
         grown = 1 + self.amplitude * xp.log1p(self.rest / self.tau)

@@ -9,15 +9,17 @@ depends on what is asked:
   differentiated.
 - The same of many pushes as NumPy arrays, on all cores: `batch.observe_batch`.
 - The same of some thousand pushes at most, by NumPy and without a compiled program, where every
-  law is affine: `columns.observe_columns`.
+  law is affine or the speed alone bends friction: `columns.observe_columns`.
 - Derivatives by every parameter, and the distance to the next regime: `sensitivities`.
 - Force, position and speed at any time: `trajectory.simulate`.
 - Curves over speed and mu_s: `families.family`.
 
 Three integrators follow a push. `closed_form.ClosedForm` solves the legs of `segments` on paper
 where every law is affine: exact to rounding, and by far the fastest. `stepping` takes Runge-Kutta
-steps with exact events for laws of any kind. `diffrax_reference.Diffrax` is the slow reference that
-tests hold both against. A rig chooses by `segments.default_integrator`; a user may name one.
+steps with exact events for laws of any kind, compiled; and by NumPy, leg by leg, where friction
+bends with the speed (`stepping.stepped_legs`, within `columns`). `diffrax_reference.Diffrax` is the
+slow reference that tests hold both against. A rig chooses by `segments.default_integrator`; a user
+may name one.
 
 The physics itself stands elsewhere: laws and force balance in `rig`. `dynamics` takes from them the
 rates and guards that `stepping` needs, `oscillator` the two closed forms, and a `leg` is what an

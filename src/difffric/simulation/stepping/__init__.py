@@ -15,4 +15,8 @@ evaluated at any time.
 Everything is traced once for all pushes of a kind of rig, so that nothing may depend on a value
 but by `jnp.where`. Derivatives pass through in forward mode: step lengths are held, the Taylor step
 carries those of event times.
+
+`stepped_legs` is apart: it steps through the legs of `segments` by NumPy (`column_steps`), many
+pushes side by side, where friction bends with the speed and all else is affine. Both take their
+numbers from `dop853_tableau`.
 """
