@@ -404,8 +404,9 @@ STRIBECK = "[pusher]\nstroke_mm = 2\n[effects.stribeck]\nv_s_m_per_s = {}\n"
 def test_simulate_takes_the_effect(file):
     found = describe_simulation(load_setup(file(STRIBECK.format(0.02))), 0.05)
     push = simulate(catalogue.extended(PLAIN_2MM, {"stribeck": {"v_s_m_per_s": 0.02}}), 0.05)
-    assert found["peak_force_N"] == pytest.approx(float(push.peak_force), rel=1e-12)
-    assert found["sliding_distance_m"] == pytest.approx(float(push.sliding_distance), rel=1e-12)
+    # Two integrators: NumPy's steps, and the compiled ones.
+    assert found["peak_force_N"] == pytest.approx(float(push.peak_force), rel=1e-7)
+    assert found["sliding_distance_m"] == pytest.approx(float(push.sliding_distance), rel=1e-7)
     assert found["derivatives"]["sliding_distance_m"]["stribeck.v_s_m_per_s"] < 0
 
 

@@ -15,7 +15,7 @@ from difffric.compute.pytrees import replicate
 from difffric.identification.crossing import find_crossing, find_crossings_in_columns
 from difffric.rig import parameters
 from difffric.rig.contact import UnilateralSpringDamper
-from difffric.rig.friction import Drift, ExtraLoad, Stribeck, Tilt, ViscousCoulomb
+from difffric.rig.friction import Drift, ExtraLoad, Stribeck, Tilt, ViscousCoulomb, Waviness
 from difffric.rig.pusher import ConstantSpeed, SpeedError
 from difffric.rig.rig import Rig, spring_damper_rig
 from difffric.rig.sensors import ForceSensor, Gain, Offset, Probe, ProbeScale, Saturation
@@ -113,7 +113,8 @@ def test_what_columns_do_not_serve():
     rig, _ = draw_rigs(3, False)
     assert serves(rig) and serves(rig, ClosedForm())
     assert not serves(rig, RungeKutta())
-    assert not serves(replace(rig, friction=Stribeck(rig.friction, 0.01)))
+    assert serves(replace(rig, friction=Stribeck(rig.friction, 0.01)))
+    assert not serves(replace(rig, friction=Waviness(rig.friction, 0.01)))
     assert not serves(replace(rig, mass=jnp.ones(3)))
 
     class Own(ViscousCoulomb):

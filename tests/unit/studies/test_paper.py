@@ -149,7 +149,7 @@ def test_mu_s_of_a_speed_that_was_left_out(study):
 def test_forces_alone_give_equation_3(study):
     """Without damping on approach C_v and C_mu come out; a damper takes dF_p/dmu_s away."""
     slopes = {s["model"]: s for s in study.compare_slopes()}
-    assert study.by_force.value("b_N_s_per_m") == 0
+    assert study.by_force.value("b_N_s_per_m") < 1e-3 * study.plain.fit.value("b_N_s_per_m")
     assert slopes["forces"]["C_v_N_min_per_mm"] == pytest.approx(PUBLISHED_FORCE.C_v, rel=0.02)
     assert slopes["forces"]["C_mu_N"] == pytest.approx(PUBLISHED_FORCE.C_mu, rel=0.02)
     assert slopes["plain"]["slope_N"][-1] < 0.5 * slopes["forces"]["slope_N"][-1]
@@ -161,11 +161,9 @@ def test_a_push_that_tells_rivals_apart_is_one_in_which_they_differ(study):
     best = study.extended.fit.rig
     other = study.explanation.extend_setup(study.explanation.rivals[0]).rig
     d = [
-        float(
-            observe_columns(
-                parameters.with_values(rig, {"mu_s": one.mu_s}), from_mm_min(one.velocity_mm_min)
-            ).sliding_distance
-        )
+        observe_columns(
+            parameters.with_values(rig, {"mu_s": one.mu_s}), from_mm_min(one.velocity_mm_min)
+        ).sliding_distance.item()
         for rig in (best, other)
     ]
     sd = np.hypot(15e-6, 0.02 * d[0])
