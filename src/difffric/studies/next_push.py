@@ -57,7 +57,7 @@ def tell_apart(one: Rig, other: Rig, purpose: str) -> Proposal:
     apart = np.nan_to_num(apart)
     best = int(np.argmax(apart.max(axis=1)))
     return Proposal(
-        float(np.resize(np.repeat(SPEEDS_MM_MIN, len(FRICTIONS)), len(v))[best]),
+        float(np.repeat(SPEEDS_MM_MIN, len(FRICTIONS))[best]),
         float(mu[best]),
         purpose,
         0.0,
