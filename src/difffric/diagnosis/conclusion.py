@@ -37,6 +37,7 @@ from difffric.estimation.ensemble import Fits
 from difffric.estimation.stacked_data import SLIDES
 from difffric.progress import Tell
 from difffric.rig.catalogue import KEYS, RATIO, numbers_of
+from difffric.rig.free_form import FORMS
 from difffric.rig.setup import Setup
 
 SIGNIFICANT = 1e-3
@@ -119,6 +120,11 @@ class Findings:
     notes: tuple[str, ...]
     compiling: Thread | None
     """compiles the program of free forms, where they may be needed"""
+    explained: bool | None = None
+    """whether the causes, and a background of small effects beside them, explain the data better
+    than a curve of no particular form; None: they were not compared"""
+    curves: tuple[str, ...] = tuple(FORMS)
+    """the free forms that may explain them"""
 
     @property
     def scale(self) -> float:
@@ -237,8 +243,11 @@ def _locate_unexplained(
     task, plain, whole = found.data.task, found.plain, found.whole
     left = 0.0 if arrived else float(np.sqrt(max(after.excess, 0.0) / found.scale))
     nothing = not found.causes and not arrived
-    if task.model.in_columns:  # free forms cannot be followed so
+    if task.model.in_columns or found.explained:  # free forms cannot be followed in columns
         return None
+    if found.explained is not None:
+        tell("looking for the component", 0.92)
+        return locate(task, plain, found.data.scales, found.lack.excess, found.curves)
     if left < _DOUBTED and len(found.causes) < 2 and not nothing:
         return None
     tell("looking for the component", 0.92)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -24,9 +25,6 @@ _ROUNDS = 12
 """Steps at most of a leading form's fit to all pushes."""
 _LEADERS = 2
 """Forms that are fitted to all pushes."""
-_DIRECTIONS = 18
-"""Numbers that a program with free forms has derivatives by at once: mu_s, the shared ones, a
-curve's and those beside it."""
 
 
 @dataclass(frozen=True)
@@ -71,19 +69,26 @@ def add_free_forms(task: EnsembleTask, scales: Scales) -> EnsembleTask:
     prior[len(model.coordinates.names) :] = TYPICAL**-2
     return replace(
         task,
-        model=replace(model, coordinates=coordinates, rig=rig, directions=_DIRECTIONS),
+        model=replace(model, coordinates=coordinates, rig=rig),
         prior=prior,
     )
 
 
-def locate(task: EnsembleTask, plain: Fits, scales: Scales, excess: float) -> Location:
+def locate(
+    task: EnsembleTask,
+    plain: Fits,
+    scales: Scales,
+    excess: float,
+    among: Sequence[str] = tuple(FORMS),
+) -> Location:
     """Locate what a plain fit (an ensemble of one) leaves unexplained.
 
-    All forms are fitted to some of the pushes, and those that lead to all. `excess` is the
-    chi-square of the plain fit beyond the noise's, of which each form explains a share.
+    The forms `among` which it is looked for are fitted to some of the pushes, and those that lead
+    to all. `excess` is the chi-square of the plain fit beyond the noise's, of which each form
+    explains a share.
     """
     wide = add_free_forms(task, scales)
-    at = _place_forms(wide, plain)
+    at = _place_forms(wide, plain, among)
     price = np.array([len(x) - len(plain.extra[0]) for x in at.extra]) * task.price
     some = choose_subset(task) if task.model.recordings else np.arange(task.n)
     first = ensemble_refits.refit(wide, at, _FIRST_ROUNDS, some)
@@ -98,17 +103,18 @@ def locate(task: EnsembleTask, plain: Fits, scales: Scales, excess: float) -> Lo
     drop = float(ensemble.criterion(task, plain)[0]) - ensemble.criterion(wide, at)
     explained[leaders] = np.clip(drop / max(excess, 1.0), 0, 1)
     best = int(np.argmax(drop - price[leaders]))
-    name = list(FORMS)[leaders[best]]
-    shares = dict(zip(FORMS, explained.tolist(), strict=True))
+    name = among[leaders[best]]
+    shares = dict(zip(among, explained.tolist(), strict=True))
     worth = float((drop - price[leaders])[best])
     return _make_location(wide, at.pick([best]), name, scales, shares, worth)
 
 
-def _place_forms(wide: EnsembleTask, plain: Fits) -> Fits:
-    """Repeat the plain fit for each form, the form's coefficients free and still zero."""
+def _place_forms(wide: EnsembleTask, plain: Fits, forms: Sequence[str]) -> Fits:
+    """Repeat the plain fit for each of the forms, its coefficients free and still zero."""
     coordinates = wide.model.coordinates
     extra = []
-    for name, form in FORMS.items():
+    for name in forms:
+        form = FORMS[name]
         beside = [x for x in form.beside if x in coordinates.names]
         own = coordinates.indices((*free_form.names(name), *beside))
         extra.append((*plain.extra[0], *(i for i in own if i not in plain.extra[0])))

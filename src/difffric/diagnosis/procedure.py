@@ -14,7 +14,14 @@ from threading import Thread
 import numpy as np
 
 from difffric.compute.precision import require_float64
-from difffric.diagnosis.alternatives import find_alternatives
+from difffric.diagnosis.background.free_curves import compare_with_curves
+from difffric.diagnosis.background.naming import (
+    compare_rivals,
+    fit_causes,
+    fit_singles,
+    keep_significant,
+)
+from difffric.diagnosis.background.search import fit_beside_background, search_background
 from difffric.diagnosis.combinations.explanation import explain_table
 from difffric.diagnosis.conclusion import SIGNIFICANT, Findings, NamedCause, conclude
 from difffric.diagnosis.cross_validation import CrossValidation, assign_folds
@@ -61,6 +68,9 @@ _NOTHING_LEFT = 0.01
 _ROUNDS = 40
 """Steps at most of a refit with one more cause: strong effects take many, and what is left has to
 be the best fit's."""
+_BACKGROUND = 0.05
+"""Share of their units by which small effects scatter, from which something outside the catalogue
+may pass for them."""
 _ROUNDS_WITHOUT = 15
 """The same of a refit that leaves a cause out again, which begins near its end."""
 
@@ -130,6 +140,12 @@ class _CauseSearch:
     """compiles the program of free forms"""
     notes: tuple[str, ...] = ()
     """what a reader should know of the search"""
+    whole: Fits | None = None
+    """the same with the small effects beside them, where there are any"""
+    explained: bool | None = None
+    """whether causes and background explain the data better than a curve of no particular form"""
+    curves: tuple[str, ...] = ()
+    """the curve that does"""
 
     @classmethod
     def begin(
@@ -157,13 +173,7 @@ class _CauseSearch:
         elif task.n < _FEWEST:
             self.notes = (f"{task.n} pushes: too few to hold any out: no cause is looked for",)
         else:
-            for k in range(_ADDED):
-                more = len(self._list_causes()) < MOST and self._look_once_more(k)
-                if not more:
-                    break
-                self._arrive(k)
-        if not task.model.in_columns:
-            self._add_alternatives()
+            self._add_standing()
         certificates = find_unreachable(data.measured, self.setup.rig)
         if certificates and not self.named:
             # The plain model is wrong for certain: what may mend it is in question.
@@ -179,7 +189,7 @@ class _CauseSearch:
             fit=self.start.fit,
             validation=self.validation,
             plain=self.plain,
-            whole=self.base,
+            whole=self.whole or self.base,
             extended=self._leave_out(self.base, *(one.best.effect for one in slight)),
             lack=self.lack,
             causes=tuple(causes),
@@ -192,6 +202,8 @@ class _CauseSearch:
             total=self.total,
             notes=self.notes,
             compiling=self.compiling,
+            explained=self.explained,
+            curves=self.curves,
         )
 
     def _add_combination(self) -> None:
@@ -233,6 +245,44 @@ class _CauseSearch:
             one = CandidateCause(effect, new, drop, 0.0, p_value, drop - price)
             self.named.append(NamedCause(one, (one,), without))
         self.named, self.base = self._drop_needless(self.named, self.base, len(self.named))
+
+    def _add_standing(self) -> None:
+        """Add the causes that stand out of a background of small effects."""
+        data, task = self.start.data, self.start.data.task
+        wanted = [effect for effect in self._list_wanted() if effect != PRESLIDING]
+        self.tell("looking for causes", 0.3)
+        found = search_background(data, self.plain, self.start.guess, wanted, self.matters > 0)
+        items, p_values = keep_significant(found.evidence, found.best, SIGNIFICANT)
+        self.scores = run_score_tests(task, self.plain, wanted)
+        self.visible |= {effect: score.visible for effect, score in self.scores.items()}
+        if items or found.evidence.estimate_share() > _BACKGROUND:
+            self.tell("comparing with curves of no particular form", 0.6)
+            compared = compare_with_curves(data, found, items)
+            self.explained, self.curves = not compared.is_outside, (compared.best,)
+        self.tell("fitting the causes", 0.7)
+        self.base = self.whole = fit_causes(task, self.plain, found, items)
+        if items:
+            bare = self._leave_out(self.base, *(item.effect for item in items))
+            value = ensemble.criterion(task, ensemble.join(self.plain, bare))
+            if value[1] < value[0]:
+                self.plain, self.lack = bare, measure_lack_of_fit(task, bare)
+        for item, p_value in zip(items, p_values, strict=True):
+            without = self._leave_out(self.base, item.effect)
+            drop = float(
+                ensemble.criterion(task, without)[0] - ensemble.criterion(task, self.base)[0]
+            )
+            score = self.scores.get(item.effect)
+            price = len(numbers_of(item.effect)) * task.price
+            predicted = score.drop if score else 0.0
+            one = CandidateCause(item.effect, self.base, drop, predicted, p_value, drop - price)
+            others = compare_rivals(task, self.base, found, items, one)
+            self.named.append(NamedCause(one, others, without))
+        self.considered = fit_singles(task, self.plain, found)
+        if found.evidence.estimate_share(items) > _BACKGROUND:
+            assumed, self.whole = fit_beside_background(data, found, items)
+            self.start = replace(self.start, data=replace(data, task=assumed))
+            self.validation = CrossValidation(assumed, self.validation.folds)
+        self.total = max(self.lack.excess, *(one.best.drop for one in self.named), 1.0)
 
     def _list_causes(self) -> list[NamedCause]:
         """List what was added and matters."""

@@ -48,7 +48,9 @@ class EnsembleTask:
     open_spread: tuple[bool, bool] = (False, False)
     """whether the noise of force and of distance is to be estimated"""
     prior: Any = None
-    """(K,) precision about zero of coordinates whose smallness is assumed; None: nothing is"""
+    """(K,) precision of coordinates whose smallness is assumed; None: nothing is"""
+    prior_about: Any = None
+    """(K,) where these coordinates would be without anything that moves them; None: at zero"""
     counts: NDArray = field(default_factory=lambda: np.ones((1, 2)))
     """(n, 2) numbers (samples, or measurements) of each push and channel"""
 
@@ -275,7 +277,8 @@ def _make_prior(task: EnsembleTask, fits: Fits, P: int) -> tuple[NDArray, NDArra
     if task.prior is not None:
         for j, extra in enumerate(fits.extra):
             mine = task.conditions + len(task.shared) + np.arange(len(extra))
-            precision[j, mine], at[j, mine] = task.prior[list(extra)], fits.c[j, list(extra)]
+            away = fits.c[j] if task.prior_about is None else fits.c[j] - task.prior_about
+            precision[j, mine], at[j, mine] = task.prior[list(extra)], away[list(extra)]
     return precision, at
 
 
@@ -376,7 +379,8 @@ def sum_squares(task: EnsembleTask, fits: Fits, some: NDArray | None = None) -> 
     some = np.arange(task.n) if some is None else some
     rss = np.einsum("mnk,mk->m", fits.gram[:, some][..., -1, -1], 1.0 / fits.spread**2)
     if task.prior is not None:
-        rss = rss + (task.prior * fits.c**2).sum(axis=1)
+        away = fits.c if task.prior_about is None else fits.c - task.prior_about
+        rss = rss + (task.prior * away**2).sum(axis=1)
     return rss + (fits.own[:, some] ** 2).sum(axis=1) / fits.scatter**2
 
 

@@ -93,7 +93,28 @@ def _settle_own(task: EnsembleTask, fits: Fits, pushes: NDArray | None) -> Fits:
     """The fits with the answers where they stand, and each push's own mu_s at what is best there.
 
     What a step said of the own mu_s is not exact, and a push may tell it to a part in ten thousand.
+    Where derivatives by many parameters are asked for, they are taken once the own mu_s rest.
     """
+    if _has_many(task, fits):
+        return en.evaluate(task, _settle_narrowly(task, fits, pushes), pushes)
+    return _settle(task, fits, pushes)
+
+
+def _has_many(task: EnsembleTask, fits: Fits) -> bool:
+    """Whether fits have so many free parameters that their derivatives take several calls."""
+    return 1 + len(task.shared) + max(map(len, fits.extra)) > task.model.directions
+
+
+def _settle_narrowly(task: EnsembleTask, fits: Fits, pushes: NDArray | None) -> Fits:
+    """The fits with each push's own mu_s at what is best, their answers without the derivatives by
+    any other parameter."""
+    alone = replace(fits, extra=((),) * fits.m)
+    found = _settle(replace(task, shared=()), alone, pushes)
+    return replace(found, extra=fits.extra)
+
+
+def _settle(task: EnsembleTask, fits: Fits, pushes: NDArray | None) -> Fits:
+    """As `_settle_own`, with all derivatives each time."""
     fits = en.evaluate(task, fits, pushes)
     for _ in range(_SETTLING if task.mu_free else 0):
         found = en.normal_equations(task, fits)
@@ -110,6 +131,12 @@ def _settle_own(task: EnsembleTask, fits: Fits, pushes: NDArray | None) -> Fits:
         if better.any():
             fits = replace_fits(fits, which[better], again.pick(np.flatnonzero(better)))
     return fits
+
+
+def _keep_own(fits: Fits, narrow: bool) -> Fits:
+    """The fits as their answers are: where these have no derivatives but by the own mu_s, with
+    nothing else free."""
+    return replace(fits, extra=((),) * fits.m) if narrow else fits
 
 
 def _list_columns(task: EnsembleTask, extra: tuple[int, ...]) -> list[int]:
@@ -168,8 +195,11 @@ def refit(
             break
         at = fits.pick(which)
         moved, promised = _predict_step(task, at, damping[which])
-        trial = _settle_own(task, moved, pushes)
-        before, after = en.profile_cost(task, at), en.profile_cost(task, trial)
+        many = _has_many(task, at)
+        settle = _settle_narrowly if many else _settle_own
+        trial = settle(task, moved, pushes)
+        before = en.profile_cost(task, at)
+        after = en.profile_cost(replace(task, shared=()) if many else task, _keep_own(trial, many))
         better = after < before
         damping[which] = np.where(better, np.maximum(damping[which] / 8, 1e-9), damping[which] * 8)
         # Where a step that promises so little fails, shorter ones promise less.
@@ -177,7 +207,9 @@ def refit(
         done = np.where(better, before - after, promised) < least
         done |= damping[which] > 1e6
         if better.any():
-            good = en.estimate_scatters(task, trial.pick(np.flatnonzero(better)))
+            good = trial.pick(np.flatnonzero(better))
+            good = en.evaluate(task, good, pushes) if many else good
+            good = en.estimate_scatters(task, good)
             fits = replace_fits(fits, which[better], good)
         active[which[done]] = False
     return replace(fits, damping=damping)

@@ -78,6 +78,23 @@ class PushAnswer(NamedTuple):
     """(2,) F_p [N] and d [m]; NaN: there is none"""
     residual: Array
     """(2, m) whitened; of a table m = 1"""
+    rows: Any = None
+    """(2, m, D + 1): [J | r] themselves; None where they were not asked for"""
+
+
+class AnswerRows(NamedTuple):
+    """What a program computes for one pair of a push and its coordinates."""
+
+    rows: Array
+    """(2, m, D + 1): [J | r], J the derivatives of r, whitened"""
+    model: Array
+    """(2,) as in `PushAnswer`"""
+
+    def compare(self, keep_rows: bool) -> PushAnswer:
+        """What a fit takes of them; NumPy's arrays."""
+        gram = np.swapaxes(self.rows, -1, -2) @ self.rows
+        residual = self.rows[..., -1].copy()
+        return PushAnswer(gram, self.model, residual, self.rows if keep_rows else None)
 
 
 def build_push_rig(coordinates: Coordinates, rig: Rig, push: StackedPushes, c: Array) -> Rig:
@@ -108,7 +125,7 @@ def _answer_recordings(
     c: Array,
     directions: Array,
     steps: int,
-) -> PushAnswer:
+) -> AnswerRows:
     """The answers for B recorded pushes at coordinates c (B, K), along directions (B, D, K)."""
     force, position = pushes.data
     integrator = RungeKutta(TOLERANCE)
@@ -135,12 +152,12 @@ def _answer_recordings(
             one = _whiten(blocks, jnp.ones_like(blocks.y))
             norm = jnp.sum(one**2)
             A = A - one[:, None] * ((one @ A) / jnp.where(norm > 0, norm, 1.0))
-        return A.T @ A, A[:, -1]
+        return A
 
     by_f, by_x = (jnp.moveaxis(a, 0, 1) for a in by)
-    G_f, r_f = jax.vmap(partial(compare, centred=False))(force, f, by_f)
-    G_x, r_x = jax.vmap(partial(compare, centred=True))(position, x, by_x)
-    return PushAnswer(jnp.stack([G_f, G_x], 1), model, jnp.stack([r_f, r_x], 1))
+    of_force = jax.vmap(partial(compare, centred=False))(force, f, by_f)
+    of_position = jax.vmap(partial(compare, centred=True))(position, x, by_x)
+    return AnswerRows(jnp.stack([of_force, of_position], 1), model)
 
 
 def _answer_table(
@@ -150,7 +167,7 @@ def _answer_table(
     c: Array,
     directions: Array,
     steps: int,
-) -> PushAnswer:
+) -> AnswerRows:
     """The answers for B pushes of a table, which has F_p and d."""
     integrator: Any = RungeKutta(TOLERANCE, most=steps)
 
@@ -165,14 +182,14 @@ def _answer_table(
     return _compare_numbers(pushes, *_differentiate(observe_all, c, directions))
 
 
-def _compare_numbers(pushes: StackedPushes, model: Array, by: Array) -> PushAnswer:
+def _compare_numbers(pushes: StackedPushes, model: Array, by: Array) -> AnswerRows:
     """The answers from the model's numbers (B, 2) and their derivatives (D, B, 2)."""
     measured, weight = pushes.data
     # Where the part never leaves the tip it slides no distance: d counts as 0.
     r = weight * (measured - jnp.where(jnp.isnan(model), 0.0, model))
     J = -weight * jnp.where(jnp.isnan(by), 0.0, by)
     A = jnp.concatenate([jnp.moveaxis(J, 0, 2), r[:, :, None]], axis=2)
-    return PushAnswer(A[:, :, :, None] * A[:, :, None, :], model, r[:, :, None])
+    return AnswerRows(A[:, :, None, :], model)
 
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(48)
@@ -186,7 +203,7 @@ def _answer_slides(
     c: Array,
     directions: Array,
     steps: int,
-) -> PushAnswer:
+) -> AnswerRows:
     """The answers for B free slides, of which the distance was measured."""
 
     def slide(push: StackedPushes, c: Array) -> Array:
@@ -239,7 +256,7 @@ def _answer(
     pushes: StackedPushes,
     c: Array,
     directions: Array,
-) -> PushAnswer:
+) -> AnswerRows:
     """The answers for B pushes of one kind; `coordinates` are the fields of `Coordinates`."""
     answer = {RECORDINGS: _answer_recordings, TABLE: _answer_table, SLIDES: _answer_slides}[kind]
     return answer(Coordinates(*coordinates), rig, pushes, c, directions, steps)
@@ -256,8 +273,8 @@ class ExtendedModel:
     kind: str
     """`table`, `slides` or `recordings`"""
     directions: int = 8
-    """in which the program differentiates; a call with fewer is padded, one with more goes to a
-    program of twice as many"""
+    """in which the program differentiates; a call with fewer is padded, one with more asks it
+    several times"""
     steps: int = STEPS
     plain: Any = None
     """the rig without any effect"""
@@ -300,7 +317,7 @@ class ExtendedModel:
         )
 
     @cached_property
-    def _program(self) -> Callable[..., PushAnswer]:
+    def _program(self) -> Callable[..., AnswerRows]:
         """The compiled program for these data."""
         at = self.coordinates
         given = ((at.names, at.null, at.unit), self.kind, self.steps)
@@ -317,11 +334,6 @@ class ExtendedModel:
         """The model without derivatives: a program of its own, ten times as fast."""
         return replace(self, directions=0)
 
-    @cached_property
-    def _wider(self) -> ExtendedModel:
-        """The model for more causes at once than one mostly meets: a program of its own."""
-        return replace(self, directions=2 * self.directions)
-
     def compile(self) -> None:
         """Make the programs ready; may be left to another thread. Those with bristles are not: few
         searches come to them."""
@@ -329,7 +341,9 @@ class ExtendedModel:
             _ = self._unbent._program
             _ = self._unbent._valued._program
 
-    def answers(self, index: NDArray, c: NDArray, directions: NDArray) -> PushAnswer:
+    def answers(
+        self, index: NDArray, c: NDArray, directions: NDArray, keep_rows: bool = False
+    ) -> PushAnswer:
         """The answers for N pairs: pushes `index` (N,) at coordinates c (N, K), with derivatives
         along directions (N, D, K) or (D, K). NumPy arrays come back, Gram matrices of D + 1
         columns. Without directions, D = 0, it takes a tenth of the time."""
@@ -338,10 +352,12 @@ class ExtendedModel:
             rows = self._pick_rows(index)
             found = answer_in_columns(self.coordinates, self.plain, rows, c, directions)
             count_followed(1, (len(c), len(c)), (directions.size // c.shape[1],) * 2)
-            return PushAnswer(*found)
-        return self._ask_programs(index, c, directions)
+            return AnswerRows(*found).compare(keep_rows)
+        return self._ask_programs(index, c, directions, keep_rows)
 
-    def _ask_programs(self, index: NDArray, c: NDArray, directions: NDArray) -> PushAnswer:
+    def _ask_programs(
+        self, index: NDArray, c: NDArray, directions: NDArray, keep_rows: bool
+    ) -> PushAnswer:
         """`answers` by compiled programs."""
         names = self.coordinates.names
         bent = c[:, names.index(BRISTLES)] > 0 if BRISTLES in names else np.zeros(len(c), bool)
@@ -349,39 +365,45 @@ class ExtendedModel:
         parts = []
         for model, at, own in ((self._unbent, ~bent, known), (self._bent, bent, slice(None))):
             if at.any():
-                parts.append(model._answers(index[at], c[at][:, own], directions[at][..., own]))
+                asked = index[at], c[at][:, own], directions[at][..., own]
+                parts.append(model._answers(*asked, keep_rows))
         back = np.argsort(np.argsort(bent, kind="stable"), kind="stable")
         return jax.tree.map(lambda *a: np.concatenate(a)[back], *parts)
 
-    def _answers(self, index: NDArray, c: NDArray, directions: NDArray) -> PushAnswer:
-        N, K = c.shape
-        if directions.shape[1] > self.directions:
-            return self._wider._answers(index, c, directions)
+    def _answers(
+        self, index: NDArray, c: NDArray, directions: NDArray, keep_rows: bool
+    ) -> PushAnswer:
         if not directions.shape[1] and self.directions:
-            return self._valued._answers(index, c, directions)
+            return self._valued._answers(index, c, directions, keep_rows)
         # A batch goes on for as long as its longest push: alike ones together.
+        N, size = len(c), self._batch
         order = np.lexsort((index, np.asarray(self.pushes.velocity)[index]))
         index, c, directions = index[order], c[order], directions[order]
-        D = directions.shape[1]
-        padded = np.zeros((N, self.directions, K))
-        padded[:, :D] = directions
-        size = self._batch
         parts = [slice(lo, min(lo + size, N)) for lo in range(0, N, size)]
 
-        def answer(part: slice) -> Any:
-            there = part.stop - part.start
-            fill = np.minimum(np.arange(size), there - 1)
-            return jax.tree.map(
-                lambda a: np.asarray(a)[:there],
-                self._program(
-                    self._rig, self._pick_rows(index[part][fill]), c[part][fill], padded[part][fill]
-                ),
-            )
+        def answer(part: slice) -> PushAnswer:
+            fill = np.minimum(np.arange(size), part.stop - part.start - 1)
+            at = (self._pick_rows(index[part][fill]), c[part][fill])
+            found = self._differentiate(*at, directions[part][fill])
+            there = AnswerRows(*(a[: part.stop - part.start] for a in found))
+            return there.compare(keep_rows)
 
         found = map_in_threads(answer, parts)
-        whole = len(parts) * size
-        count_followed(len(parts), (N, whole), (N * D, whole * self.directions))
+        D, asked, whole = directions.shape[1], self.directions, len(parts) * size
+        calls = max(-(-D // asked), 1) if asked else 1
+        count_followed(len(parts) * calls, (N, whole), (N * D, whole * calls * asked))
         back = np.argsort(order)
-        whole = jax.tree.map(lambda *a: np.concatenate(a)[back], *found)
-        keep = [*range(D), self.directions]
-        return whole._replace(gram=whole.gram[:, :, keep][:, :, :, keep])
+        return jax.tree.map(lambda *a: np.concatenate(a)[back], *found)
+
+    def _differentiate(self, pushes: StackedPushes, c: NDArray, directions: NDArray) -> AnswerRows:
+        """One batch's answers, from as many calls of the program as the directions take."""
+        D, most = directions.shape[1], self.directions
+        parts = []
+        for lo in range(0, max(D, 1), max(most, 1)):
+            some = directions[:, lo : lo + most]
+            padded = np.zeros((len(c), most, c.shape[1]))
+            padded[:, : some.shape[1]] = some
+            found = self._program(self._rig, pushes, c, padded)
+            rows = np.asarray(found.rows)
+            parts.append(rows[..., : some.shape[1]])
+        return AnswerRows(np.concatenate([*parts, rows[..., -1:]], axis=-1), np.asarray(found.model))

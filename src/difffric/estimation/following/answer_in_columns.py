@@ -39,9 +39,9 @@ def list_served(rig: Rig) -> frozenset[str]:
 
 def answer_in_columns(
     coordinates: Coordinates, plain: Rig, pushes: Any, c: NDArray, directions: NDArray
-) -> tuple[NDArray, NDArray, NDArray]:
-    """What `extended_model` answers for N pairs: Gram matrices (N, 2, D + 1, D + 1), F_p and d
-    (N, 2), whitened residuals (N, 2, 1).
+) -> tuple[NDArray, NDArray]:
+    """What `extended_model` computes for N pairs: rows of whitened derivatives and residuals
+    (N, 2, 1, D + 1), F_p and d (N, 2).
 
     `pushes` are theirs, c (N, K) their coordinates, directions (N, D, K) those of derivatives.
     Pairs that have to be stepped through go apart, as that takes longer than the closed form.
@@ -60,7 +60,7 @@ def answer_in_columns(
     # Where the part never leaves the tip it slides no distance: d counts as 0.
     r = weight * (measured - np.where(np.isnan(model), 0.0, model))
     A = np.concatenate([-weight[:, :, None] * by, r[:, :, None]], axis=2)
-    return A[:, :, :, None] * A[:, :, None, :], model, r[:, :, None]
+    return A[:, :, None, :], model
 
 
 def _find_active(coordinates: Coordinates, c: NDArray, directions: NDArray) -> dict[str, NDArray]:

@@ -1,0 +1,148 @@
+"""Which set of causes explains the most: all single ones, pairs and triples, compared at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from difffric.diagnosis.background.evidence import Evidence, Item
+from difffric.rig.catalogue import numbers_of
+
+_IN_PAIRS = 40
+"""Items that are tried in pairs."""
+_IN_TRIPLES = 18
+"""Items that are tried in triples."""
+_OF_EACH = 2
+"""Shapes of each effect that are tried beside others."""
+_ADDED = 3
+"""Effects that are added to the best triple, one after the other, at most."""
+SELDOM = float(np.log(3.0))
+"""Log odds against one cause more."""
+_LIKE_ITSELF = (0.4, 2.5)
+"""Sizes of a column that stands for one size of an effect, between which it is that effect."""
+
+
+@dataclass(frozen=True)
+class CauseSet:
+    """One set of causes."""
+
+    items: tuple[Item, ...]
+    score: float
+    """log posterior probability, but for a constant: that of no cause is 0"""
+    sizes: tuple[float, ...]
+    """of the items' columns, one after the other"""
+    price: float = 0.0
+    """what of the log likelihood that it gains its numbers would buy in any case"""
+
+    @property
+    def effects(self) -> frozenset[str]:
+        """The effects in it."""
+        return frozenset(item.effect for item in self.items)
+
+
+def search_sets(evidence: Evidence, items: Sequence[Item]) -> list[CauseSet]:
+    """Return the sets of up to three of the items, and what was added to the best, the most
+    probable first; that of no cause is among them."""
+    found = [CauseSet((), 0.0, ())]
+    singles = _score(evidence, [(item,) for item in items])
+    leaders = _choose_leaders(singles, items)
+    pairs = _score(evidence, _combine(leaders[:_IN_PAIRS], 2))
+    first = dict.fromkeys(item for one in pairs[:25] for item in one.items)
+    triples = _score(evidence, _combine([*dict.fromkeys([*first, *leaders])][:_IN_TRIPLES], 3))
+    found += [*singles, *pairs, *triples]
+    best = max(found, key=lambda one: one.score)
+    for _ in range(_ADDED if len(best.items) == 3 else 0):
+        more = [(*best.items, item) for item in leaders if item.effect not in best.effects]
+        grown = _score(evidence, more)
+        if not grown or grown[0].score <= best.score:
+            break
+        found += grown
+        best = grown[0]
+    return sorted(found, key=lambda one: -one.score)
+
+
+def replace_item(
+    evidence: Evidence, items: Sequence[Item], gone: Item | None
+) -> list[CauseSet]:
+    """Return the sets in which every effect that is not among the `items` stands in the place of
+    `gone`, or beside them all, the best first; each effect once."""
+    rest = [item for item in items if item is not gone]
+    taken = {item.effect for item in items}
+    sets = [(*rest, item) for item in evidence.items if item.effect not in taken]
+    best: dict[str, CauseSet] = {}
+    for one in _score(evidence, sets):
+        best.setdefault(one.items[-1].effect, one)
+    return list(best.values())
+
+
+def score_set(evidence: Evidence, items: Sequence[Item]) -> float:
+    """The score of one set."""
+    if not items:
+        return 0.0
+    found = evidence.compare([[c for item in items for c in item.columns]])
+    return float(found.gain[0]) - compute_price(evidence, items)
+
+
+def _combine(items: Sequence[Item], k: int) -> list[tuple[Item, ...]]:
+    """All sets of k items, no effect twice."""
+    return [
+        some for some in combinations(items, k) if len({item.effect for item in some}) == k
+    ]
+
+
+def _choose_leaders(singles: Sequence[CauseSet], items: Sequence[Item]) -> list[Item]:
+    """The items that are tried beside others, the best alone first; effects without a shape are
+    all among them, as two of them may explain what neither does."""
+    count: dict[str, int] = {}
+    chosen = []
+    for (item,) in (one.items for one in singles):
+        count[item.effect] = count.get(item.effect, 0) + 1
+        if count[item.effect] <= _OF_EACH:
+            chosen.append(item)
+    return [*chosen, *(x for x in items if x.shape is None and x not in chosen)]
+
+
+def _score(evidence: Evidence, sets: Iterable[tuple[Item, ...]]) -> list[CauseSet]:
+    """Score sets, the best first; those are left out whose sizes make no sense."""
+    by_columns: dict[int, list[tuple[Item, ...]]] = {}
+    for some in sets:
+        by_columns.setdefault(sum(len(item.columns) for item in some), []).append(some)
+    found = []
+    for same in by_columns.values():
+        fit = evidence.compare([[c for item in some for c in item.columns] for some in same])
+        sizes = np.einsum("sn,snk->nk", fit.weight, fit.size)
+        for some, gain, size in zip(same, fit.gain, sizes, strict=True):
+            if _make_sense(evidence, some, size):
+                price = compute_price(evidence, some)
+                found.append(CauseSet(some, float(gain) - price, tuple(size.tolist()), price))
+    return sorted(found, key=lambda one: -one.score)
+
+
+def compute_price(evidence: Evidence, items: Sequence[Item]) -> float:
+    """What a set must buy in log likelihood: Schwarz's price for its numbers, and as many times the
+    logarithm of the number of effects as it has of them."""
+    numbers = sum(len(numbers_of(item.effect)) for item in items)
+    each = float(np.log(evidence.effects)) + SELDOM
+    return 0.5 * evidence.task.price * numbers + len(items) * each
+
+
+def _make_sense(evidence: Evidence, items: Sequence[Item], sizes: np.ndarray) -> bool:
+    """Whether the sizes lie within the effects' bounds, and near the sizes that columns stand
+    for."""
+    coordinates, small = evidence.task.model.coordinates, evidence.small
+    start = 0
+    for item in items:
+        size = sizes[start]
+        start += len(item.columns)
+        if item.shape is None:
+            i = small.index[item.columns[0]]
+            low, high = coordinates.bounds(coordinates.names[i])
+            if not low - 1e-9 <= small.null[i] + size <= high + 1e-9:
+                return False
+        elif len(item.columns) == 1 and (item.shape.placed or item.shape.typical == 1.0):
+            if not _LIKE_ITSELF[0] < size < _LIKE_ITSELF[1]:
+                return False
+    return True

@@ -1,0 +1,335 @@
+"""How well sets of causes explain what was measured beside a background of small effects.
+
+At the best fit with all small effects the answers are linear in every effect: the derivatives and
+the columns of shapes there give one Gram matrix, in which a set of causes is compared with another
+by linear algebra alone. A cause in the set has any size; every other effect is in the background,
+normal about its null, its scatter a share of its unit that is estimated with the rest (as is the
+scatter of mu_s): what is told is averaged over both, by their likelihood.
+
+Equations: Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), chapter 2, with
+the plain parameters under flat priors and each push's own mu_s eliminated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from difffric.diagnosis.background.shape_columns import Shape, ShapeColumns
+from difffric.diagnosis.background.small_effects import SmallEffects, step_off_null
+from difffric.estimation.ensemble import EnsembleTask, Fits
+
+SHARES = np.array([0.03, 0.06, 0.12, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8])
+"""Shares of their units by which background effects may scatter."""
+_NONE_AT_ALL = 0.3
+"""Prior probability that there is no background."""
+_USUAL = 0.5
+"""The share up to which a background is usual: the scale of a half-Cauchy prior."""
+_SCATTERS = np.array([0.5, 0.75, 1.0, 1.4, 2.0, 3.0])
+"""Scatters of mu_s that are averaged over, as shares of the joint fit's."""
+_RIDGE = 1e-10
+_LARGEST = 2.0
+"""How many times as large as one may meet a cause is, at one standard deviation."""
+
+
+class Item(NamedTuple):
+    """What may be a cause: an effect, of one shape."""
+
+    effect: str
+    columns: tuple[int, ...]
+    shape: Shape | None = None
+
+
+class _State(NamedTuple):
+    """All that a scatter of mu_s and a share of the background say of q effects' columns."""
+
+    scatter: float
+    share: float
+    cost: float
+    """-2 log likelihood with all effects in the background"""
+    squares: float
+    """the part of it that is a sum of squares"""
+    M: NDArray
+    """(q, q) information on the columns, all plain parameters eliminated"""
+    h: NDArray
+    """(q,) their products with the residuals"""
+    C: NDArray | None
+    """(q, q) posterior covariance of the columns' sizes in units of the background's; None: no
+    background"""
+    mean: NDArray | None
+    """(q,) posterior means likewise"""
+    inverse: NDArray
+    """(P, P) of the information on the plain parameters"""
+    known: NDArray
+    """(P, q + 1) what these do in place of the columns and of the residuals"""
+    B: NDArray | None = None
+    """(q,) the background's scatter in each column"""
+
+
+@dataclass(frozen=True)
+class SetFit:
+    """What N sets of causes, of k columns each, explain; S states."""
+
+    gain: NDArray
+    """(N,) log likelihood beyond that of no cause at all, averaged over the states"""
+    weight: NDArray
+    """(S, N) of the states"""
+    size: NDArray
+    """(S, N, k) best sizes of the columns"""
+    covariance: NDArray
+    """(S, N, k, k)"""
+    background: NDArray
+    """(S, N, k) variance that each column would have in the background"""
+
+    def best_size(self, j: int) -> NDArray:
+        """The sizes (k,) of set j, averaged over the states."""
+        return np.einsum("s,sk->k", self.weight[:, j], self.size[:, j])
+
+
+class Evidence:
+    """The comparison of sets of causes where a joint fit stands."""
+
+    def __init__(
+        self,
+        task: EnsembleTask,
+        at: Fits,
+        small: SmallEffects,
+        shapes: ShapeColumns | None,
+        background: bool = True,
+    ):
+        self.task, self.at, self.small = task, at, small
+        self._rows, self._push = _collect_rows(task, at, small, shapes)
+        self._gram = np.swapaxes(self._rows, 1, 2) @ self._rows
+        self._own = np.einsum("nr,nrp->np", self._push, self._rows)
+        self._z = (self._push**2).sum(axis=1)
+        self._known = self._gram.shape[1] - 1 - self._count(shapes)
+        self.items = _list_items(small, shapes)
+        unit = small.unit if shapes is None else np.concatenate([small.unit, shapes.unit])
+        self._unit = unit
+        self._typical = small.typical
+        if shapes is not None:
+            self._typical = np.concatenate([small.typical, shapes.typical])
+        shares = np.append(0.0, SHARES) if background else np.zeros(1)
+        scatters = at.scatter[0] * (_SCATTERS if task.estimate_scatter and task.mu_free else [1.0])
+        prior = np.tile(_make_prior(background), len(scatters))
+        self.excess = 1.0
+        """by how much more than noise is left with all effects in the background"""
+        # Errors are as large as what all effects together leave says.
+        most = self._make_states(scatters, np.array([1.0]))
+        left = min(state.squares for state in most) / max(task.counts.sum() - self._known, 1.0)
+        self.excess = max(float(left), 1.0)
+        self._scatters, self._shares = scatters, shares
+        self._states = self._make_states(scatters, shares)
+        self._log_prior = prior
+        self.nothing = float(logsumexp(prior - 0.5 * np.array([s.cost for s in self._states])))
+
+    def _count(self, shapes: ShapeColumns | None) -> int:
+        return len(self.small.index) + (0 if shapes is None else len(shapes.unit))
+
+    @property
+    def effects(self) -> int:
+        """How many effects are compared."""
+        return len({item.effect for item in self.items})
+
+    def estimate_share(self, items: Sequence[Item] = ()) -> float:
+        """The share of their units by which the effects scatter, where the `items` are causes."""
+        shares = np.array([state.share for state in self._states])
+        if items:
+            found = self.compare([[c for item in items for c in item.columns]])
+            return float(found.weight[:, 0] @ shares)
+        weight = self._log_prior - 0.5 * np.array([state.cost for state in self._states])
+        return float(np.exp(weight - self.nothing) @ shares)
+
+    def _make_states(
+        self, scatters: NDArray, shares: NDArray, causes: Sequence[int] = ()
+    ) -> list[_State]:
+        P, out, causes = self._known, [], list(causes)
+        for scatter in scatters:
+            weight = scatter**2 / (1 + scatter**2 * self._z / self.excess) / self.excess
+            G = self._gram.sum(axis=0) - np.einsum("n,np,nq->pq", weight, self._own, self._own)
+            G = G / self.excess
+            A = G[:P, :P]
+            scale = np.sqrt(np.maximum(np.diag(A), 1e-12))
+            unit = A / np.outer(scale, scale)
+            inverse = np.linalg.pinv(unit, rcond=1e-12) / np.outer(scale, scale)
+            known = inverse @ G[:P, P:]
+            R = G[P:, P:] - G[P:, :P] @ known
+            plain = inverse, known
+            volume = np.log1p(scatter**2 * self._z / self.excess).sum()
+            volume += np.linalg.slogdet(unit + 1e-13 * np.eye(P))[1] + 2 * np.log(scale).sum()
+            M, h, squares = R[:-1, :-1], R[:-1, -1], float(R[-1, -1])
+            for share in shares:
+                if share == 0 and not causes:
+                    cost = squares + volume
+                    out.append(_State(scatter, 0.0, cost, squares, M, h, None, None, *plain))
+                    continue
+                B = share * self._unit
+                B[causes] = _LARGEST * self._typical[causes]
+                Q = np.eye(len(B)) + B[:, None] * M * B
+                C = np.linalg.inv(Q)
+                mean = -C @ (B * h)
+                left = squares + float(h @ (B * mean))
+                cost = left + volume + np.linalg.slogdet(Q)[1]
+                out.append(_State(scatter, share, cost, left, M, h, C, mean, *plain, B))
+        return out
+
+    def compare(self, sets: Sequence[Sequence[int]]) -> SetFit:
+        """Compare sets of columns, all of k, of any size: every other column is in the
+        background."""
+        index = np.asarray(sets, int)
+        k = index.shape[1]
+        cost, sizes, covariances, variances = [], [], [], []
+        for state in self._states:
+            if state.C is None or state.mean is None:
+                P, q = state.M[index[:, :, None], index[:, None, :]], state.h[index]
+                variance, removed = np.zeros(index.shape), 0.0
+            else:
+                B = state.share * self._unit[index]
+                inverse = np.linalg.inv(state.C[index[:, :, None], index[:, None, :]])
+                mean = state.mean[index]
+                P = (inverse - np.eye(k)) / B[:, :, None] / B[:, None, :]
+                q = -np.einsum("nij,nj->ni", inverse, mean) / B
+                removed = np.einsum("ni,nij,nj->n", mean, inverse, mean)
+                removed = removed - np.linalg.slogdet(inverse)[1]
+                variance = B**2
+            P = P + (_LARGEST * self._typical[index])[:, :, None] ** -2.0 * np.eye(k)
+            scale = np.sqrt(np.maximum(np.einsum("nii->ni", P), 1e-30))
+            unit = P / scale[:, :, None] / scale[:, None, :] + _RIDGE * np.eye(k)
+            V = np.linalg.inv(unit) / scale[:, :, None] / scale[:, None, :]
+            size = -np.einsum("nij,nj->ni", V, q)
+            cost.append(state.cost + removed + np.einsum("ni,ni->n", size, q))
+            sizes.append(size)
+            covariances.append(V)
+            variances.append(variance)
+        log = self._log_prior[:, None] - 0.5 * np.array(cost)
+        total = logsumexp(log, axis=0)
+        return SetFit(
+            gain=total - self.nothing,
+            weight=np.exp(log - total),
+            size=np.array(sizes),
+            covariance=np.array(covariances),
+            background=np.array(variances),
+        )
+
+    def weigh_curves(
+        self, items: Sequence[Item], curves: Sequence[NDArray], priors: Sequence[NDArray]
+    ) -> list[float]:
+        """The log likelihoods beyond that of no cause at all, first with the `items` as causes,
+        then with each of the `curves` besides: k columns (n, R, k), whose sizes are normal about
+        zero with one of the covariances `priors` (k, k), averaged over these. A cause is normal
+        about zero here too."""
+        causes = [c for item in items for c in item.columns]
+        states = self._make_states(self._scatters, self._shares, causes)
+        alone = self._log_prior - 0.5 * np.array([state.cost for state in states])
+        out = [float(logsumexp(alone)) - self.nothing]
+        for rows in curves:
+            cross, gram = np.swapaxes(self._rows, 1, 2) @ rows, np.swapaxes(rows, 1, 2) @ rows
+            own = np.einsum("nr,nrk->nk", self._push, rows)
+            both = zip(states, alone, strict=True)
+            every = [x + 0.5 * g for state, x in both for g in self._gain_curve(
+                state, cross, gram, own, priors)]  # fmt: skip
+            out.append(float(logsumexp(every) - np.log(len(priors)) - self.nothing))
+        return out
+
+    def _gain_curve(
+        self,
+        state: _State,
+        cross: NDArray,
+        gram: NDArray,
+        own: NDArray,
+        priors: Sequence[NDArray],
+    ) -> list[float]:
+        """By how much -2 log likelihood falls with the columns of a curve, for each prior; `cross`
+        (n, p, k), `gram` (n, k, k) and `own` (n, k) are their products."""
+        P = self._known
+        weight = state.scatter**2 / (self.excess + state.scatter**2 * self._z)
+        X = cross.sum(axis=0) - np.einsum("n,np,nk->pk", weight, self._own, own)
+        Y = gram.sum(axis=0) - np.einsum("n,nj,nk->jk", weight, own, own)
+        X, Y = X / self.excess, Y / self.excess
+        mixed = X[P:] - state.known.T @ X[:P]
+        Y = Y - X[:P].T @ state.inverse @ X[:P]
+        mixed, q = mixed[:-1], mixed[-1]
+        if state.C is not None and state.B is not None:
+            spread = state.B[:, None] * state.C * state.B
+            Y = Y - mixed.T @ spread @ mixed
+            q = q - mixed.T @ spread @ state.h
+        out = []
+        for K in priors:
+            S = np.eye(len(q)) + Y @ K
+            out.append(float(q @ K @ np.linalg.solve(S, q) - np.linalg.slogdet(S)[1]))
+        return out
+
+    def compute_log_p_values(self, items: Sequence[Item]) -> list[float]:
+        """The logarithm of the probability, for each item of a set, that noise and background make
+        it so large."""
+        found = self.compare([[c for item in items for c in item.columns]])
+        out, start = [], 0
+        for item in items:
+            mine = slice(start, start + len(item.columns))
+            start += len(item.columns)
+            V = found.covariance[:, 0, mine, mine]
+            V = V + found.background[:, 0, mine, None] * np.eye(len(item.columns))
+            size = found.size[:, 0, mine]
+            drop = np.einsum("si,si->s", size, np.linalg.solve(V, size[:, :, None])[:, :, 0])
+            tail = scipy.stats.chi2.logsf(drop, len(item.columns))
+            out.append(float(logsumexp(tail, b=found.weight[:, 0])))
+        return out
+
+
+def _make_prior(background: bool) -> NDArray:
+    """Log prior probabilities of the shares, none first."""
+    if not background:
+        return np.zeros(1)
+    density = np.gradient(SHARES) / (1 + (SHARES / _USUAL) ** 2)
+    return np.log(np.append(_NONE_AT_ALL, (1 - _NONE_AT_ALL) * density / density.sum()))
+
+
+def _list_items(small: SmallEffects, shapes: ShapeColumns | None) -> list[Item]:
+    items = [Item(effect, (k,)) for k, effect in enumerate(small.effects)]
+    if shapes is not None:
+        p = len(items)
+        for shape, columns in zip(shapes.shapes, shapes.columns, strict=True):
+            items.append(Item(shape.effect, tuple(p + c for c in columns), shape))
+    return items
+
+
+def _collect_rows(
+    task: EnsembleTask, at: Fits, small: SmallEffects, shapes: ShapeColumns | None
+) -> tuple[NDArray, NDArray]:
+    """The columns (n, R, p) of each push: the plain parameters, what `at` has free besides, the
+    small effects, the shapes, and what would be left without the small effects and the shapes; and
+    that of the push's own mu_s (n, R)."""
+    n, C = task.n, task.conditions
+    placed = {} if shapes is None else {s.effect for s in shapes.shapes if s.placed}
+    names = task.model.coordinates.names
+    others = [
+        i
+        for i in at.extra[0]
+        if i not in small.index and names[i].partition(".")[0] not in placed
+    ]
+    free = [*task.shared, *others, *small.index]
+    directions = np.zeros((1 + len(free), at.c.shape[1]))
+    directions[0, 0] = float(task.mu_free)
+    directions[np.arange(1, len(directions)), free] = 1.0
+    c = np.repeat(step_off_null(task, at, free), n, axis=0)
+    c[:, 0] = at.mu[0, task.condition] + at.own[0]
+    rows = task.model.answers(np.arange(n), c, directions, True).rows
+    rows = (rows / at.spread[0][:, None, None]).reshape(n, -1, len(directions) + 1)
+    own, plain = rows[..., 0], rows[..., 1 : -1 - len(small.index)]
+    columns = rows[..., -1 - len(small.index) : -1]
+    left = rows[..., -1] - own * at.own[0][:, None]
+    away = at.c[0, list(small.index)] - small.null[list(small.index)]
+    left = left - columns @ away
+    if shapes is not None:
+        for shape, mine in zip(shapes.shapes, shapes.columns, strict=True):
+            left = left - shape.placed * shapes.rows[..., mine[0]]
+    condition = np.zeros((n, own.shape[1], C))
+    condition[np.arange(n), :, task.condition] = own
+    more = [columns] if shapes is None else [columns, shapes.rows]
+    return np.concatenate([condition, plain, *more, left[:, :, None]], axis=2), own

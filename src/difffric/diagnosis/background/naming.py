@@ -1,0 +1,158 @@
+"""Which causes are named, beside a background of small effects, and what they are confused with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.diagnosis.background.cause_sets import CauseSet, replace_item, score_set
+from difffric.diagnosis.background.evidence import Evidence, Item
+from difffric.diagnosis.background.search import BackgroundSearch, put_shape
+from difffric.diagnosis.conclusion import ALIKE
+from difffric.diagnosis.exploration import CandidateCause
+from difffric.estimation import ensemble, ensemble_refits
+from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.rig.catalogue import numbers_of
+
+_LOOKS = 10
+"""How many independent looks a scan over a wavelength, a place or a speed is worth."""
+_ROUNDS = 20
+"""Steps at most of the fit with the causes alone."""
+_CONSIDERED = 3
+"""Single causes that are told beside those that are named."""
+_FEW_ROUNDS = 10
+"""Steps at most of a fit with one of these."""
+
+
+def keep_significant(
+    evidence: Evidence, best: CauseSet, significant: float
+) -> tuple[tuple[Item, ...], list[float]]:
+    """Return those causes of a set that noise and background hardly make so large, and the
+    probabilities that they do; the least sure one is left out first."""
+    items = list(best.items)
+    while items:
+        log = evidence.compute_log_p_values(items)
+        p_values = [
+            float(np.exp(min(x + np.log(_count_looks(evidence, item)), 0.0)))
+            for x, item in zip(log, items, strict=True)
+        ]
+        worst = int(np.argmax(p_values))
+        if p_values[worst] < significant:
+            return tuple(items), p_values
+        items.pop(worst)
+    return (), []
+
+
+def _count_looks(evidence: Evidence, item: Item) -> int:
+    """How many looks an effect's size was found by."""
+    return evidence.effects * (1 if item.shape is None else _LOOKS)
+
+
+def compare_rivals(
+    task: EnsembleTask,
+    base: Fits,
+    search: BackgroundSearch,
+    items: Sequence[Item],
+    cause: CandidateCause,
+) -> tuple[CandidateCause, ...]:
+    """Return the cause, which is one of the `items` of the fit `base`, and all effects that could
+    be in its place, the most probable first; those that may be confused with it are fitted there.
+    """
+    task_index, evidence = task.model.coordinates.indices, search.evidence
+    mine = next(item for item in items if item.effect == cause.effect)
+    most = score_set(evidence, items)
+    rivals, starts, fitted = [], [], []
+    gone = task_index(numbers_of(cause.effect))
+    for one in replace_item(evidence, items, mine):
+        worse = 2 * (most - one.score)
+        effect = one.items[-1].effect
+        rivals.append(
+            replace(
+                cause, effect=effect, penalised_drop=cause.penalised_drop - worse, predicted=0.0
+            )
+        )
+        if worse < ALIKE:
+            c = base.c.copy()
+            c[0, gone] = search.small.null[gone]
+            _put(c, task, search, one.items[-1], one.sizes[-len(one.items[-1].columns) :])
+            own = task_index(numbers_of(effect))
+            extra = (*(i for i in base.extra[0] if i not in gone), *own)
+            bare = {"gram": None, "residual": None, "damping": None}
+            starts.append(replace(base, c=c, extra=(extra,), **bare))
+            fitted.append(len(rivals) - 1)
+    if starts:
+        fits = ensemble_refits.refit(task, ensemble.join(*starts), _FEW_ROUNDS)
+        for j, k in enumerate(fitted):
+            rivals[k] = replace(rivals[k], fits=fits.pick([j]))
+    return (cause, *rivals)
+
+
+def _put(
+    c: NDArray, task: EnsembleTask, search: BackgroundSearch, item: Item, sizes: Sequence[float]
+) -> None:
+    """Put an effect of these sizes into coordinates c (1, K)."""
+    index = task.model.coordinates.indices(numbers_of(item.effect))
+    if item.shape is None:
+        c[0, index] = search.small.null[index] + sizes[0]
+    elif item.shape.placed:
+        c[0, index] = search.joint.c[0, index]
+    else:
+        put_shape(c, item, sizes)
+
+
+def fit_causes(
+    task: EnsembleTask, plain: Fits, search: BackgroundSearch, items: Sequence[Item]
+) -> Fits:
+    """Return the best fit with these causes and no background, begun from the plain fit and from
+    the joint one (all ensembles of one)."""
+    if not items:
+        return plain
+    index = task.model.coordinates.indices([n for x in items for n in numbers_of(x.effect)])
+    at = search.joint.c.copy()
+    small = search.small
+    gone = [i for i in small.index if i not in index]
+    at[0, gone] = plain.c[0, gone]
+    extra = ((*plain.extra[0], *(i for i in index if i not in plain.extra[0])),)
+    there = plain.c.copy()
+    there[0, index] = at[0, index]
+    bare = {"extra": extra, "gram": None, "residual": None, "damping": None}
+    starts = [replace(search.joint, c=at, **bare), replace(plain, c=there, **bare)]
+    fits = ensemble_refits.refit(task, ensemble.join(*starts), _ROUNDS)
+    return fits.pick(int(np.argmin(ensemble.criterion(task, fits))))
+
+
+def fit_singles(
+    task: EnsembleTask, plain: Fits, search: BackgroundSearch
+) -> list[CandidateCause]:
+    """Return the causes that lead by themselves, each fitted on top of the plain fit alone."""
+    found = []
+    for one in search.singles:
+        item = one.items[0]
+        if len(found) < _CONSIDERED and all(item.effect != x[0].effect for x in found):
+            found.append((item, one))
+    if not found:
+        return []
+    starts = []
+    for item, one in found:
+        index = task.model.coordinates.indices(numbers_of(item.effect))
+        c = plain.c.copy()
+        _put(c, task, search, item, one.sizes)
+        extra = (*plain.extra[0], *(i for i in index if i not in plain.extra[0]))
+        starts.append(replace(plain, c=c, extra=(extra,), gram=None, residual=None, damping=None))
+    fits = ensemble_refits.refit(task, ensemble.join(*starts), _FEW_ROUNDS)
+    drops = float(ensemble.criterion(task, plain)[0]) - ensemble.criterion(task, fits)
+    out = []
+    for j, (item, one) in enumerate(found):
+        price = len(numbers_of(item.effect)) * task.price
+        log = search.evidence.compute_log_p_values([item]) if item in search.evidence.items else [0]
+        p_value = float(np.exp(min(log[0] + np.log(_count_looks(search.evidence, item)), 0.0)))
+        out.append(
+            CandidateCause(
+                item.effect, fits.pick([j]), float(drops[j]), 2 * (one.score + one.price), p_value,
+                float(drops[j]) - price,
+            )
+        )
+    return sorted(out, key=lambda x: -x.penalised_drop)

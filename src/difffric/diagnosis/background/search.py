@@ -1,0 +1,199 @@
+"""The search for the causes that stand out of a background of small effects.
+
+All small effects are fitted at once. What is then left beyond noise is looked for among the effects
+that have a shape; the most probable set of causes is freed of the background, everything is fitted
+anew, and the sets are compared again there, until the same set comes out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from difffric.diagnosis.background.cause_sets import CauseSet, search_sets
+from difffric.diagnosis.background.evidence import Evidence, Item
+from difffric.diagnosis.background.joint_fit import WIDE, fit_jointly
+from difffric.diagnosis.background.shape_columns import (
+    compute_columns,
+    list_placed,
+    list_shapes,
+)
+from difffric.diagnosis.background.small_effects import SmallEffects, choose_small_effects
+from difffric.diagnosis.data import DiagnosisData
+from difffric.estimation import ensemble, ensemble_refits
+from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.rig.catalogue import numbers_of
+
+MOST_EXCESS = 1.5
+"""By how many times the noise the small effects and the columns of shapes may leave, to be
+trusted."""
+_SHAPES_FITTED = 4
+"""Shapes from which a fit is begun where they leave more."""
+_MOST_SHAPED = 3
+"""Effects with a shape that are added so."""
+_FIRST_ROUNDS = 3
+"""Steps of the fits from each of these shapes."""
+_ROUNDS = 8
+"""Steps at most of the best of them, and of a fit with a set of causes freed."""
+_COMPARISONS = 3
+"""How often the sets are compared, each time where the last one's best set led."""
+_LEAST_SHARE = 0.1
+"""The share of their units by which the background is assumed to scatter at least, while a set of
+causes is fitted."""
+
+
+@dataclass(frozen=True)
+class BackgroundSearch:
+    """Where the search ended."""
+
+    joint: Fits
+    """the fit with all small effects, and the shapes that stand out (an ensemble of one)"""
+    small: SmallEffects
+    evidence: Evidence
+    """where it stands"""
+    sets: tuple[CauseSet, ...]
+    """the most probable first"""
+    singles: tuple[CauseSet, ...]
+    """the single causes as they were compared first, the best first"""
+    shaped: tuple[str, ...]
+    """effects with a shape that are in the joint fit"""
+
+    @property
+    def best(self) -> CauseSet:
+        """The most probable set."""
+        return self.sets[0]
+
+
+@dataclass
+class _Search:
+    """The search, step by step."""
+
+    data: DiagnosisData
+    effects: Sequence[str]
+    background: bool
+    small: SmallEffects
+    joint: Fits
+    shaped: tuple[str, ...] = ()
+    """effects with a shape that are in the joint fit"""
+
+    def weigh(self) -> Evidence:
+        """Make the comparison where the joint fit stands."""
+        task = self.data.task
+        shapes = list_placed(task, self.joint, self.shaped)
+        others = [effect for effect in self.effects if effect not in self.shaped]
+        shapes += list_shapes(task, others, self.data.scales)
+        columns = compute_columns(task, self.joint, shapes)
+        return Evidence(task, self.joint, self.small, columns, self.background)
+
+    def add_shape(self, evidence: Evidence) -> bool:
+        """Add the effect with a shape that helps most; whether any does."""
+        task = self.small.assume(self.data.task, WIDE)
+        shaped = [item for item in evidence.items if item.shape and not item.shape.placed]
+        first = [x for x in search_sets(evidence, shaped) if len(x.items) == 1][:_SHAPES_FITTED]
+        if not first:
+            return False
+        starts = [_place(task, self.joint, one.items, one.sizes) for one in first]
+        fits = ensemble_refits.refit(task, ensemble.join(*starts), _FIRST_ROUNDS)
+        best = int(np.argmin(ensemble.criterion(task, fits)))
+        found = ensemble_refits.refit(task, fits.pick(best), _ROUNDS)
+        gain = float(ensemble.criterion(task, self.joint)[0] - ensemble.criterion(task, found)[0])
+        if gain < 2 * first[best].price:
+            return False
+        self.joint, self.shaped = found, (*self.shaped, first[best].items[0].effect)
+        return True
+
+    def free(self, evidence: Evidence, items: Sequence[Item], sizes: Sequence[float]) -> None:
+        """Fit anew with a set of causes at any size."""
+        start = _place(self.data.task, self.joint, items, sizes)
+        shaped = tuple(item.effect for item in items if item.shape is not None)
+        gone = [effect for effect in self.shaped if effect not in shaped]
+        index = self.data.task.model.coordinates.indices([n for e in gone for n in numbers_of(e)])
+        c = start.c.copy()
+        c[0, index] = 0.0
+        start = replace(start, c=c, extra=(tuple(i for i in start.extra[0] if i not in index),))
+        task = free_causes(self.data.task, self.small, evidence, items)
+        self.joint, self.shaped = ensemble_refits.refit(task, start, _ROUNDS), shaped
+
+
+def free_causes(
+    task: EnsembleTask, small: SmallEffects, evidence: Evidence, items: Sequence[Item]
+) -> EnsembleTask:
+    """Return the task of fits in which the `items` have any size, and the other small effects
+    scatter as the evidence says."""
+    share = max(evidence.estimate_share(items), _LEAST_SHARE)
+    assumed = small.assume(task, share)
+    prior = assumed.prior.copy()
+    prior[[small.index[x.columns[0]] for x in items if x.shape is None]] = 0.0
+    return replace(assumed, prior=prior)
+
+
+def search_background(
+    data: DiagnosisData, plain: Fits, guess: Fits, effects: Sequence[str], background: bool
+) -> BackgroundSearch:
+    """Search for causes among the `effects`, on top of the plain fit `plain`; `guess` is the set-up
+    as it was given (both ensembles of one). Without a `background` every effect but the causes is
+    exactly at its null."""
+    small = choose_small_effects(data.task, plain, effects)
+    search = _Search(data, effects, background, small, fit_jointly(data, small, plain, guess))
+    evidence = search.weigh()
+    for _ in range(_MOST_SHAPED):
+        if evidence.excess < MOST_EXCESS or not search.add_shape(evidence):
+            break
+        evidence = search.weigh()
+    sets = search_sets(evidence, evidence.items)
+    singles = [one for one in sets if len(one.items) == 1]
+    freed = frozenset(search.shaped)
+    for _ in range(_COMPARISONS - 1):
+        if sets[0].effects == freed:
+            break
+        freed = sets[0].effects
+        search.free(evidence, sets[0].items, sets[0].sizes)
+        evidence = search.weigh()
+        sets = search_sets(evidence, evidence.items)
+    return BackgroundSearch(
+        search.joint, small, evidence, tuple(sets), tuple(singles), search.shaped
+    )
+
+
+def fit_beside_background(
+    data: DiagnosisData, found: BackgroundSearch, items: Sequence[Item]
+) -> tuple[EnsembleTask, Fits]:
+    """Return the fit with the `items` at any size and the other small effects beside them, and the
+    task of it."""
+    search = _Search(data, (), True, found.small, found.joint, found.shaped)
+    kept = {item.effect for item in items}
+    if kept != found.best.effects or any(x.shape and not x.shape.placed for x in items):
+        columns = [c for item in items for c in item.columns]
+        sizes = found.evidence.compare([columns]).best_size(0).tolist() if items else []
+        search.free(found.evidence, items, sizes)
+    return free_causes(data.task, found.small, found.evidence, items), search.joint
+
+
+def _place(
+    task: EnsembleTask, at: Fits, items: Sequence[Item], sizes: Sequence[float]
+) -> Fits:
+    """Return the fit `at` with the shapes of a set of causes placed and free."""
+    c, extra = at.c.copy(), list(at.extra[0])
+    start = 0
+    for item in items:
+        own_sizes = sizes[start : start + len(item.columns)]
+        start += len(item.columns)
+        if item.shape is not None and not item.shape.placed:
+            put_shape(c, item, own_sizes)
+            own = task.model.coordinates.indices(numbers_of(item.effect))
+            extra += [i for i in own if i not in extra]
+    return replace(at, c=c, extra=(tuple(extra),), gram=None, residual=None, damping=None)
+
+
+def put_shape(c: np.ndarray, item: Item, sizes: Sequence[float]) -> None:
+    """Put a shape, its columns of these sizes, into coordinates c (1, K)."""
+    assert item.shape is not None
+    for point in item.shape.points:
+        for i, value in point.items():
+            c[0, i] = value
+    if item.shape.typical < 1.0:  # of a shape with an amplitude, the columns are that
+        for point, size in zip(item.shape.points, sizes, strict=True):
+            i = next(i for i, value in point.items() if value != 0.0)
+            c[0, i] = point[i] * size / item.shape.amplitude

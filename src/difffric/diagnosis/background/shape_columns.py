@@ -1,0 +1,176 @@
+"""What effects with a shape would change, for shapes on a grid: columns beside the derivatives.
+
+A wave has a length, a patch a place, a fall of friction a speed, a saturation a level: at their
+nulls these effects have no derivative by all their numbers. For each shape of a grid the change of
+the residuals is taken as it is, by the difference of two answers without derivatives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.diagnosis.background.small_effects import UNIT_CHANGE, ask_at, measure_change
+from difffric.diagnosis.starting_values import list_starting_values
+from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.rig.catalogue import CATALOGUE, numbers_of
+from difffric.rig.scales import Scales
+
+_WAVES = {"friction_waviness": "wavelength_m", "pusher_ripple": "period_m"}
+_PATCH = "friction_patch"
+_SIZED = ("stribeck", "force_saturation", "pusher_duration", "pusher_lag")
+"""Effects whose one number has no derivative at its null, or none that steps of finite length find:
+a column for each size."""
+_SHORTEST = 2e-4
+"""The shortest wavelength [m] that is looked for."""
+_MOST_WAVES = 60
+"""Wavelengths at most."""
+_PER_WAY = 2.5
+"""Wavelengths that a median way tells apart, for each turn of a wave in it."""
+_AMPLITUDE = 0.02
+"""Amplitude of a shape whose change is taken: so small that it is linear."""
+_PLACES = 14
+"""Places within the shortest way, and again as many beyond it."""
+_NEAREST = 0.04
+"""The first place, as a share of the shortest way."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """One shape of one effect; q columns: a wave's sine and cosine, or one."""
+
+    effect: str
+    points: tuple[dict[int, float], ...]
+    """for each column the effect's coordinates, by their numbers, at which the change is taken"""
+    amplitude: float
+    """the amplitude there, by which a column is divided"""
+    typical: float
+    """the amplitude that one may meet"""
+    placed: bool = False
+    """whether the effect is in the model with this shape: the point is then that without it"""
+
+
+@dataclass(frozen=True)
+class ShapeColumns:
+    """Shapes, and what each changes; C columns in all."""
+
+    shapes: tuple[Shape, ...]
+    columns: tuple[tuple[int, ...], ...]
+    """the numbers of each shape's columns"""
+    rows: NDArray
+    """(n, R, C) change of the whitened residuals of each push by amplitude 1"""
+    unit: NDArray
+    """(C,) amplitude of unit size, which all shapes of one effect share"""
+    typical: NDArray
+    """(C,) the amplitude that one may meet"""
+
+
+def list_shapes(task: EnsembleTask, effects: Sequence[str], scales: Scales) -> list[Shape]:
+    """List the shapes of those of the `effects` that have any."""
+    coordinates, found = task.model.coordinates, []
+    for effect in effects:
+        if effect in _WAVES:
+            found += _list_waves(task, effect, scales)
+        elif effect == _PATCH:
+            found += _list_patches(task, scales)
+        elif effect in _SIZED:
+            for value in list_starting_values(effect, scales):
+                point = dict(
+                    zip(coordinates.indices(list(value)), coordinates.point(value), strict=True)
+                )
+                found.append(Shape(effect, (point,), 1.0, 1.0))
+    return found
+
+
+def list_placed(task: EnsembleTask, at: Fits, effects: Sequence[str]) -> list[Shape]:
+    """List the shapes that those of the `effects` have that are in the fit `at` (an ensemble of
+    one)."""
+    coordinates, found = task.model.coordinates, []
+    for effect in effects:
+        index = coordinates.indices(numbers_of(effect))
+        names = [coordinates.names[i] for i in index]
+        sizes = [x for x, name in zip(at.c[0, index], names, strict=True) if _is_size(name)]
+        without = dict.fromkeys(index, 0.0)
+        typical = 1.0 / max(float(np.linalg.norm(sizes)), 1e-6)
+        found.append(Shape(effect, (without,), 1.0, typical, placed=True))
+    return found
+
+
+def _is_size(name: str) -> bool:
+    """Whether a number says how large an effect is, and not of what shape."""
+    return name.partition(".")[2] not in ("wavelength_m", "period_m", "start_m")
+
+
+def _list_waves(task: EnsembleTask, effect: str, scales: Scales) -> Iterator[Shape]:
+    """Yield waves of lengths that the pushes tell apart."""
+    coordinates = task.model.coordinates
+    names = (f"{effect}.amplitude", f"{effect}.{_WAVES[effect]}", f"{effect}.phase_rad")
+    sine, length, cosine = coordinates.indices(names)
+    way = scales.ways if effect != "pusher_ripple" else np.full(task.n, scales.travel)
+    first, step = 0.5 / np.max(way), 1.0 / (_PER_WAY * np.median(way))
+    size = _AMPLITUDE / coordinates.unit[sine]
+    for turns in np.arange(first, min(1.0 / _SHORTEST, first + _MOST_WAVES * step), step):
+        at = (1.0 / turns - coordinates.null[length]) / coordinates.unit[length]
+        both = ({sine: size, cosine: 0.0, length: at}, {sine: 0.0, cosine: size, length: at})
+        yield Shape(effect, both, _AMPLITUDE, _find_typical(effect))
+
+
+def _list_patches(task: EnsembleTask, scales: Scales) -> Iterator[Shape]:
+    """Yield patches that begin at places along the pushes' ways."""
+    coordinates = task.model.coordinates
+    amplitude, start = coordinates.indices(numbers_of(_PATCH))
+    low, high = np.min(scales.ways), np.max(scales.ways)
+    places = np.linspace(_NEAREST, 1.0, _PLACES) * low
+    for place in np.append(places, np.linspace(low, high, _PLACES)[1:-1]):
+        at = (place - coordinates.null[start]) / coordinates.unit[start]
+        size = _AMPLITUDE / coordinates.unit[amplitude]
+        yield Shape(_PATCH, ({amplitude: size, start: at},), _AMPLITUDE, _find_typical(_PATCH))
+
+
+def _find_typical(effect: str) -> float:
+    """The amplitude of an effect that one may meet."""
+    return next(key.typical for key in CATALOGUE[effect].keys if key.name == "amplitude")
+
+
+def compute_columns(task: EnsembleTask, at: Fits, shapes: Sequence[Shape]) -> ShapeColumns:
+    """Compute what each of the shapes changes where the fit `at` (an ensemble of one) stands;
+    shapes that change nothing, or cannot be followed, are left out."""
+    points = np.repeat(at.c, 1 + sum(len(one.points) for one in shapes), axis=0)
+    row = 1
+    for one in shapes:
+        for point in one.points:
+            points[row, list(point)] = list(point.values())
+            row += 1
+    answers = ask_at(task, at, points)
+    spread = at.spread[0][None, None, :, None]
+    r = answers.residual.reshape(len(points), task.n, 2, -1) / spread
+    model = answers.model.reshape(len(points), task.n, 2)
+    moved = (r[1:] - r[0]).reshape(len(points) - 1, task.n, -1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        change = measure_change(model[1:] / model[0] - 1)
+    signs = np.array([1.0 - 2.0 * one.placed for one in shapes for _ in one.points])
+    moved *= signs[:, None, None]
+    good = np.isfinite(moved).all(axis=(1, 2)) & (moved != 0).any(axis=(1, 2))
+    kept, columns, which, unit, row = [], [], [], [], 0
+    for one in shapes:
+        mine = list(range(row, row + len(one.points)))
+        row += len(mine)
+        if good[mine].all():
+            most = change[mine].max() / one.amplitude
+            columns.append(tuple(range(len(which), len(which) + len(mine))))
+            which += mine
+            unit += [min(one.typical, UNIT_CHANGE / max(most, 1e-12))] * len(mine)
+            kept.append(one)
+    sizes = np.array([one.amplitude for one in kept for _ in one.points])
+    number = [
+        1 if one.placed else sum(other.effect == one.effect for other in kept)
+        for one in kept
+        for _ in one.points
+    ]
+    rows = np.moveaxis(moved[which], 0, 2) / sizes if which else np.zeros((*moved.shape[1:], 0))
+    typical = np.array([one.typical for one in kept for _ in one.points])
+    share = np.sqrt(np.maximum(np.array(number), 1))
+    return ShapeColumns(tuple(kept), tuple(columns), rows, np.array(unit) / share, typical)

@@ -1,0 +1,121 @@
+"""The effects that every rig has a little of, and what "a little" is of each.
+
+Every real machine has every imperfection: none of them is exactly at its null. All effects of the
+catalogue that have a derivative at their null are therefore in the model at once, each with a size
+of its own, which is assumed to be small: normal about the null, with the same share of the size
+that changes F_p or d by as much as matters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.diagnosis.starting_values import SMOOTH_AT_NULL
+from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.rig.catalogue import KEYS, RATIO, numbers_of
+
+UNIT_CHANGE = 0.005
+"""Relative change of F_p or d (rms over the pushes) that an effect of unit size makes."""
+_RATIO_TYPICAL = 0.1
+"""The relative change of mu_k / mu_s that one may meet; other effects' coordinates are 1 at such a
+size."""
+_STEP = 0.1
+"""Share of such a size by which an effect is moved to see what it changes."""
+_NONE_AT_NULL = tuple(name for name, (_, key) in KEYS.items() if key.inverse)
+_BESIDE = 1e-6
+"""The coordinates that have no derivative at their null, and where one is taken beside it."""
+_LONG_STEP = {"pusher_lag": 0.5}
+"""The same of an effect that is not seen where it is shorter than an integrator's step."""
+
+
+@dataclass(frozen=True)
+class SmallEffects:
+    """Effects that are in a model with sizes that are assumed to be small; p coordinates."""
+
+    effects: tuple[str, ...]
+    """(p,) the effect behind each coordinate: all have one number"""
+    index: tuple[int, ...]
+    """(p,) which coordinates"""
+    unit: NDArray
+    """(p,) the steps of these coordinates at which each effect has unit size"""
+    typical: NDArray
+    """(p,) the steps at which it has a size that one may meet"""
+    null: NDArray
+    """(K,) all coordinates where nothing moves them"""
+
+    def assume(self, task: EnsembleTask, share: float) -> EnsembleTask:
+        """Return the task of fits in which these effects scatter by `share` of their units about
+        their nulls."""
+        prior = np.zeros(len(self.null))
+        prior[list(self.index)] = (share * self.unit) ** -2.0
+        return replace(task, prior=prior, prior_about=self.null)
+
+    def free(self, fits: Fits) -> Fits:
+        """Return the fits with these effects free beside what is free already."""
+        extra = tuple((*own, *(i for i in self.index if i not in own)) for own in fits.extra)
+        c = fits.c.copy()
+        at_null = [i for i in self.index if not fits.c[:, i].any()]
+        c[:, at_null] = self.null[at_null]
+        return replace(fits, c=c, extra=extra, gram=None, residual=None, damping=None)
+
+
+def step_off_null(task: EnsembleTask, at: Fits, index: Sequence[int]) -> NDArray:
+    """Return the coordinates (1, K) of a fit (an ensemble of one), those of `index` that have no
+    derivative at their null (the inverse of an acceleration) a little beside it."""
+    c = at.c.copy()
+    for i in index:
+        if task.model.coordinates.names[i] in _NONE_AT_NULL:
+            c[0, i] = max(c[0, i], _BESIDE)
+    return c
+
+
+def choose_small_effects(task: EnsembleTask, at: Fits, effects: Sequence[str]) -> SmallEffects:
+    """Choose those of the `effects` that can be in the model in small sizes, and measure their
+    units where the fit `at` (an ensemble of one) stands."""
+    coordinates = task.model.coordinates
+    taken = {*task.shared, *at.extra[0]}
+    chosen, index = [], []
+    for effect in effects:
+        own = coordinates.indices(numbers_of(effect))
+        if effect in SMOOTH_AT_NULL and len(own) == 1 and own[0] not in taken:
+            chosen.append(effect)
+            index.append(own[0])
+    typical = np.array([_RATIO_TYPICAL if effect == RATIO else 1.0 for effect in chosen])
+    step = typical * np.array([_LONG_STEP.get(effect, _STEP) for effect in chosen])
+    points = np.repeat(at.c, len(index), axis=0)
+    points[np.arange(len(index)), index] += step
+    change = measure_change(observe_points(task, at, points)) / step
+    unit = np.minimum(typical, UNIT_CHANGE / np.maximum(change, 1e-12))
+    null = step_off_null(task, at, index)[0]
+    return SmallEffects(tuple(chosen), tuple(index), unit, typical, null)
+
+
+def observe_points(task: EnsembleTask, at: Fits, points: NDArray) -> NDArray:
+    """Return the relative changes (m, n, 2) of F_p and d of each push where coordinates other than
+    mu_s are at `points` (m, K) in place of those of the fit `at` (an ensemble of one)."""
+    answers = ask_at(task, at, np.concatenate([at.c, points]))
+    model = answers.model.reshape(len(points) + 1, task.n, 2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return model[1:] / model[0] - 1
+
+
+def ask_at(task: EnsembleTask, at: Fits, points: NDArray):
+    """Return the answers, without derivatives, for all pushes at each of the `points` (m, K), mu_s
+    as the fit `at` (an ensemble of one) has it."""
+    n = task.n
+    c = np.repeat(points[:, None], n, axis=1)
+    c[:, :, 0] = at.mu[0, task.condition] + at.own[0]
+    none = np.zeros((0, points.shape[1]))
+    return task.model.answers(np.tile(np.arange(n), len(points)), c.reshape(-1, c.shape[2]), none)
+
+
+def measure_change(change: NDArray) -> NDArray:
+    """Return the larger of the changes of F_p and d, each rms over the pushes, of changes
+    (m, n, 2); pushes without a d say nothing of d."""
+    there = np.isfinite(change)
+    squares = np.where(there, change, 0.0) ** 2
+    return np.sqrt(squares.sum(axis=1) / np.maximum(there.sum(axis=1), 1)).max(axis=1)
