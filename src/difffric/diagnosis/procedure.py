@@ -266,27 +266,28 @@ class _CauseSearch:
             value = ensemble.criterion(task, ensemble.join(self.plain, bare))
             if value[1] < value[0]:
                 self.plain, self.lack = bare, measure_lack_of_fit(task, bare)
+        self.considered = fit_singles(task, self.plain, found)
+        if found.evidence.estimate_share(items) > _BACKGROUND:
+            task, self.whole = fit_beside_background(data, found, items)
+            self.start = replace(self.start, data=replace(data, task=task))
+            self.validation = CrossValidation(task, self.validation.folds)
+        value = float(ensemble.criterion(task, self.whole)[0])
         for item, p_value in zip(items, p_values, strict=True):
-            without = self._leave_out(self.base, item.effect)
-            drop = float(
-                ensemble.criterion(task, without)[0] - ensemble.criterion(task, self.base)[0]
-            )
+            without = self._leave_out(self.whole, item.effect)
+            drop = float(ensemble.criterion(task, without)[0]) - value
             score = self.scores.get(item.effect)
             price = len(numbers_of(item.effect)) * task.price
             predicted = score.drop if score else 0.0
-            one = CandidateCause(item.effect, self.base, drop, predicted, p_value, drop - price)
-            others = compare_rivals(task, self.base, found, items, one)
+            if drop < price:  # it was there to make up for what another one did
+                continue
+            one = CandidateCause(item.effect, self.whole, drop, predicted, p_value, drop - price)
+            others = compare_rivals(data.task, self.base, found, items, one)
             self.named.append(NamedCause(one, others, without))
-        self.considered = fit_singles(task, self.plain, found)
-        if found.evidence.estimate_share(items) > _BACKGROUND:
-            assumed, self.whole = fit_beside_background(data, found, items)
-            self.start = replace(self.start, data=replace(data, task=assumed))
-            self.validation = CrossValidation(assumed, self.validation.folds)
         self.total = max(self.lack.excess, *(one.best.drop for one in self.named), 1.0)
 
     def _list_causes(self) -> list[NamedCause]:
         """List what was added and matters."""
-        return [one for one in self.named if self._does_matter(one, self.base)]
+        return [one for one in self.named if self._does_matter(one, self.whole or self.base)]
 
     def _does_matter(self, one: NamedCause, at: Fits) -> bool:
         """Whether an effect of the fit `at` changes as much as matters."""

@@ -51,6 +51,8 @@ class EnsembleTask:
     """(K,) precision of coordinates whose smallness is assumed; None: nothing is"""
     prior_about: Any = None
     """(K,) where these coordinates would be without anything that moves them; None: at zero"""
+    reach: Any = None
+    """(K,) how far from there they may be; None: anywhere within their bounds"""
     counts: NDArray = field(default_factory=lambda: np.ones((1, 2)))
     """(n, 2) numbers (samples, or measurements) of each push and channel"""
 
@@ -394,11 +396,20 @@ def covariance(task: EnsembleTask, fits: Fits) -> NDArray:
     return np.where(held, 0.0, np.linalg.inv(A) / (scale[:, :, None] * scale[:, None, :]))
 
 
+def bounds(task: EnsembleTask, i: int) -> tuple[float, float]:
+    """The values between which coordinate i may move."""
+    low, high = task.model.coordinates.bounds(task.model.coordinates.names[i])
+    if task.reach is None:
+        return low, high
+    about = 0.0 if task.prior_about is None else task.prior_about[i]
+    return max(low, about - task.reach[i]), min(high, about + task.reach[i])
+
+
 def _find_at_bound(task: EnsembleTask, fits: Fits, P: int) -> NDArray:
     """Whether each parameter (m, P) is at a bound."""
-    coordinates, out = task.model.coordinates, np.zeros((fits.m, P), bool)
+    out = np.zeros((fits.m, P), bool)
     for j, extra in enumerate(fits.extra):
         for k, i in enumerate([*task.shared, *extra]):
-            low, high = coordinates.bounds(coordinates.names[i])
+            low, high = bounds(task, i)
             out[j, task.conditions + k] = not low < fits.c[j, i] < high
     return out

@@ -146,13 +146,11 @@ def _list_columns(task: EnsembleTask, extra: tuple[int, ...]) -> list[int]:
 
 def _find_limits(task: EnsembleTask, fits: Fits) -> tuple[NDArray, NDArray]:
     """The lower and the upper bounds (m, P) of the parameters."""
-    coordinates, P = task.model.coordinates, _gather_point(task, fits).shape[1]
+    P = _gather_point(task, fits).shape[1]
     lower, upper = np.full((fits.m, P), -np.inf), np.full((fits.m, P), np.inf)
     for j, extra in enumerate(fits.extra):
         for k, i in enumerate(_list_columns(task, extra)):
-            lower[j, task.conditions + k], upper[j, task.conditions + k] = coordinates.bounds(
-                coordinates.names[i]
-            )
+            lower[j, task.conditions + k], upper[j, task.conditions + k] = en.bounds(task, i)
     return lower, upper
 
 

@@ -105,8 +105,16 @@ def _choose_leaders(singles: Sequence[CauseSet], items: Sequence[Item]) -> list[
     return [*chosen, *(x for x in items if x.shape is None and x not in chosen)]
 
 
-def _score(evidence: Evidence, sets: Iterable[tuple[Item, ...]]) -> list[CauseSet]:
-    """Score sets, the best first; those are left out whose sizes make no sense."""
+def score_singles(evidence: Evidence, items: Iterable[Item]) -> list[CauseSet]:
+    """Score each of the items alone, the best first, whatever its size."""
+    return _score(evidence, [(item,) for item in items], every=True)
+
+
+def _score(
+    evidence: Evidence, sets: Iterable[tuple[Item, ...]], every: bool = False
+) -> list[CauseSet]:
+    """Score sets, the best first; unless `every` one is asked for, those are left out whose sizes
+    make no sense."""
     by_columns: dict[int, list[tuple[Item, ...]]] = {}
     for some in sets:
         by_columns.setdefault(sum(len(item.columns) for item in some), []).append(some)
@@ -115,7 +123,7 @@ def _score(evidence: Evidence, sets: Iterable[tuple[Item, ...]]) -> list[CauseSe
         fit = evidence.compare([[c for item in some for c in item.columns] for some in same])
         sizes = np.einsum("sn,snk->nk", fit.weight, fit.size)
         for some, gain, size in zip(same, fit.gain, sizes, strict=True):
-            if _make_sense(evidence, some, size):
+            if every or _make_sense(evidence, some, size):
                 price = compute_price(evidence, some)
                 found.append(CauseSet(some, float(gain) - price, tuple(size.tolist()), price))
     return sorted(found, key=lambda one: -one.score)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.diagnosis.background.cause_sets import SELDOM
+from difffric.diagnosis.background.cause_sets import SELDOM, score_set
 from difffric.diagnosis.background.evidence import Item
 from difffric.diagnosis.background.search import BackgroundSearch
 from difffric.diagnosis.data import DiagnosisData
@@ -72,7 +72,7 @@ def compare_with_curves(
     price = float(np.log(len(FORMS))) + SELDOM
     alone = evidence.weigh_curves((), curves, priors)
     beside = evidence.weigh_curves(items, curves, priors) if items else alone
-    causes = beside[0] - len(items) * (float(np.log(evidence.effects)) + SELDOM)
+    causes = score_set(evidence, items)
     return CurveComparison(
         causes=causes,
         curves={form: x - price for form, x in zip(FORMS, alone[1:], strict=True)},

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from difffric.diagnosis.background.cause_sets import CauseSet, search_sets
+from difffric.diagnosis.background.cause_sets import CauseSet, score_singles, search_sets
 from difffric.diagnosis.background.evidence import Evidence, Item
-from difffric.diagnosis.background.joint_fit import WIDE, fit_jointly
+from difffric.diagnosis.background.joint_fit import WIDE, fit_jointly, measure_left
 from difffric.diagnosis.background.shape_columns import (
     compute_columns,
     list_placed,
@@ -23,18 +23,20 @@ from difffric.diagnosis.background.shape_columns import (
 from difffric.diagnosis.background.small_effects import SmallEffects, choose_small_effects
 from difffric.diagnosis.data import DiagnosisData
 from difffric.estimation import ensemble, ensemble_refits
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensemble import EnsembleTask, Fits, choose_subset
 from difffric.rig.catalogue import numbers_of
 
 MOST_EXCESS = 1.5
 """By how many times the noise the small effects and the columns of shapes may leave, to be
 trusted."""
-_SHAPES_FITTED = 4
-"""Shapes from which a fit is begun where they leave more."""
+_SHAPES_FITTED, _OF_EACH = 8, 2
+"""Shapes from which a fit is begun where they leave more, and of each effect."""
 _MOST_SHAPED = 3
 """Effects with a shape that are added so."""
 _FIRST_ROUNDS = 3
 """Steps of the fits from each of these shapes."""
+_LEADERS = 2
+"""Those of them that are fitted to the end."""
 _ROUNDS = 8
 """Steps at most of the best of them, and of a fit with a set of causes freed."""
 _COMPARISONS = 3
@@ -74,6 +76,7 @@ class _Search:
     effects: Sequence[str]
     background: bool
     small: SmallEffects
+    plain: Fits
     joint: Fits
     shaped: tuple[str, ...] = ()
     """effects with a shape that are in the joint fit"""
@@ -91,18 +94,38 @@ class _Search:
         """Add the effect with a shape that helps most; whether any does."""
         task = self.small.assume(self.data.task, WIDE)
         shaped = [item for item in evidence.items if item.shape and not item.shape.placed]
-        first = [x for x in search_sets(evidence, shaped) if len(x.items) == 1][:_SHAPES_FITTED]
+        first: list[CauseSet] = []
+        for one in score_singles(evidence, shaped):
+            alike = sum(one.effects == other.effects for other in first)
+            if alike < _OF_EACH and len(first) < _SHAPES_FITTED:
+                first.append(one)
         if not first:
             return False
-        starts = [_place(task, self.joint, one.items, one.sizes) for one in first]
-        fits = ensemble_refits.refit(task, ensemble.join(*starts), _FIRST_ROUNDS)
+        # What one effect does, small ones together may nearly do: begin without them, too.
+        bases = (self.joint, self._forget_small())
+        starts = [_place(task, at, one.items, one.sizes) for at in bases for one in first]
+        some = choose_subset(task) if task.model.recordings else None
+        fits = ensemble_refits.refit(task, ensemble.join(*starts), _FIRST_ROUNDS, some)
+        leaders = np.argsort(ensemble.criterion(task, fits))[:_LEADERS]
+        starts = replace(fits.pick(leaders), gram=None, residual=None, damping=None)
+        fits = ensemble_refits.refit(task, starts, _ROUNDS)
         best = int(np.argmin(ensemble.criterion(task, fits)))
-        found = ensemble_refits.refit(task, fits.pick(best), _ROUNDS)
+        found, best = fits.pick(best), int(leaders[best]) % len(first)
         gain = float(ensemble.criterion(task, self.joint)[0] - ensemble.criterion(task, found)[0])
         if gain < 2 * first[best].price:
             return False
         self.joint, self.shaped = found, (*self.shaped, first[best].items[0].effect)
         return True
+
+    def _forget_small(self) -> Fits:
+        """The joint fit's shapes with the plain fit and no small effect."""
+        index = self.data.task.model.coordinates.indices(
+            [name for effect in self.shaped for name in numbers_of(effect)]
+        )
+        at = self.small.free(self.plain)
+        c = at.c.copy()
+        c[0, index] = self.joint.c[0, index]
+        return replace(at, c=c, extra=self.joint.extra)
 
     def free(self, evidence: Evidence, items: Sequence[Item], sizes: Sequence[float]) -> None:
         """Fit anew with a set of causes at any size."""
@@ -123,10 +146,8 @@ def free_causes(
     """Return the task of fits in which the `items` have any size, and the other small effects
     scatter as the evidence says."""
     share = max(evidence.estimate_share(items), _LEAST_SHARE)
-    assumed = small.assume(task, share)
-    prior = assumed.prior.copy()
-    prior[[small.index[x.columns[0]] for x in items if x.shape is None]] = 0.0
-    return replace(assumed, prior=prior)
+    causes = {small.index[item.columns[0]] for item in items if item.shape is None}
+    return small.assume(task, share, causes)
 
 
 def search_background(
@@ -136,7 +157,8 @@ def search_background(
     as it was given (both ensembles of one). Without a `background` every effect but the causes is
     exactly at its null."""
     small = choose_small_effects(data.task, plain, effects)
-    search = _Search(data, effects, background, small, fit_jointly(data, small, plain, guess))
+    joint = fit_jointly(data, small, plain, guess)
+    search = _Search(data, effects, background, small, plain, joint)
     evidence = search.weigh()
     for _ in range(_MOST_SHAPED):
         if evidence.excess < MOST_EXCESS or not search.add_shape(evidence):
@@ -144,6 +166,7 @@ def search_background(
         evidence = search.weigh()
     sets = search_sets(evidence, evidence.items)
     singles = [one for one in sets if len(one.items) == 1]
+    ended = [BackgroundSearch(search.joint, small, evidence, tuple(sets), (), search.shaped)]
     freed = frozenset(search.shaped)
     for _ in range(_COMPARISONS - 1):
         if sets[0].effects == freed:
@@ -152,9 +175,12 @@ def search_background(
         search.free(evidence, sets[0].items, sets[0].sizes)
         evidence = search.weigh()
         sets = search_sets(evidence, evidence.items)
-    return BackgroundSearch(
-        search.joint, small, evidence, tuple(sets), tuple(singles), search.shaped
-    )
+        ended.append(
+            BackgroundSearch(search.joint, small, evidence, tuple(sets), (), search.shaped)
+        )
+    if sets[0].effects != freed:  # they go to and fro: where least is left
+        ended.sort(key=lambda one: -measure_left(data.task, one.joint))
+    return replace(ended[-1], singles=tuple(singles))
 
 
 def fit_beside_background(
@@ -162,7 +188,7 @@ def fit_beside_background(
 ) -> tuple[EnsembleTask, Fits]:
     """Return the fit with the `items` at any size and the other small effects beside them, and the
     task of it."""
-    search = _Search(data, (), True, found.small, found.joint, found.shaped)
+    search = _Search(data, (), True, found.small, found.joint, found.joint, found.shaped)
     kept = {item.effect for item in items}
     if kept != found.best.effects or any(x.shape and not x.shape.placed for x in items):
         columns = [c for item in items for c in item.columns]

@@ -8,7 +8,7 @@ that changes F_p or d by as much as matters.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +23,10 @@ UNIT_CHANGE = 0.005
 _RATIO_TYPICAL = 0.1
 """The relative change of mu_k / mu_s that one may meet; other effects' coordinates are 1 at such a
 size."""
+_LARGEST = 4.0
+"""Times a size that one may meet: the largest unit, of an effect that changes neither F_p nor d."""
+_FARTHEST = 5.0
+"""Times a size that one may meet, beyond which an effect is not small."""
 _STEP = 0.1
 """Share of such a size by which an effect is moved to see what it changes."""
 _NONE_AT_NULL = tuple(name for name, (_, key) in KEYS.items() if key.inverse)
@@ -47,12 +51,17 @@ class SmallEffects:
     null: NDArray
     """(K,) all coordinates where nothing moves them"""
 
-    def assume(self, task: EnsembleTask, share: float) -> EnsembleTask:
+    def assume(
+        self, task: EnsembleTask, share: float, causes: Collection[int] = ()
+    ) -> EnsembleTask:
         """Return the task of fits in which these effects scatter by `share` of their units about
-        their nulls."""
-        prior = np.zeros(len(self.null))
-        prior[list(self.index)] = (share * self.unit) ** -2.0
-        return replace(task, prior=prior, prior_about=self.null)
+        their nulls, but for the coordinates of `causes`."""
+        free = [k for k, i in enumerate(self.index) if i not in causes]
+        index = np.array(self.index, int)[free]
+        prior, reach = np.zeros(len(self.null)), np.full(len(self.null), np.inf)
+        prior[index] = (share * self.unit[free]) ** -2.0
+        reach[index] = _FARTHEST * self.typical[free]
+        return replace(task, prior=prior, prior_about=self.null, reach=reach)
 
     def free(self, fits: Fits) -> Fits:
         """Return the fits with these effects free beside what is free already."""
@@ -89,7 +98,7 @@ def choose_small_effects(task: EnsembleTask, at: Fits, effects: Sequence[str]) -
     points = np.repeat(at.c, len(index), axis=0)
     points[np.arange(len(index)), index] += step
     change = measure_change(observe_points(task, at, points)) / step
-    unit = np.minimum(typical, UNIT_CHANGE / np.maximum(change, 1e-12))
+    unit = np.minimum(_LARGEST * typical, UNIT_CHANGE / np.maximum(change, 1e-12))
     null = step_off_null(task, at, index)[0]
     return SmallEffects(tuple(chosen), tuple(index), unit, typical, null)
 
