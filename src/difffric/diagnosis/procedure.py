@@ -20,6 +20,7 @@ from difffric.diagnosis.background.naming import (
     fit_causes,
     fit_singles,
     keep_significant,
+    list_outstanding,
 )
 from difffric.diagnosis.background.search import fit_beside_background, search_background
 from difffric.diagnosis.combinations.explanation import explain_table
@@ -140,6 +141,8 @@ class _CauseSearch:
     """compiles the program of free forms"""
     notes: tuple[str, ...] = ()
     """what a reader should know of the search"""
+    usual: frozenset[str] = frozenset()
+    """effects that are no larger than in any rig"""
     whole: Fits | None = None
     """the same with the small effects beside them, where there are any"""
     explained: bool | None = None
@@ -253,6 +256,9 @@ class _CauseSearch:
         self.tell("looking for causes", 0.3)
         found = search_background(data, self.plain, self.start.guess, wanted, self.matters > 0)
         items, p_values = keep_significant(found.evidence, found.best, SIGNIFICANT)
+        if self.matters > 0:
+            outstanding = list_outstanding(found.evidence, items, SIGNIFICANT)
+            self.usual = frozenset(item.effect for item in items) - outstanding
         self.scores = run_score_tests(task, self.plain, wanted)
         self.visible |= {effect: score.visible for effect, score in self.scores.items()}
         if items or found.evidence.estimate_share() > _BACKGROUND:
@@ -290,7 +296,10 @@ class _CauseSearch:
         return [one for one in self.named if self._does_matter(one, self.whole or self.base)]
 
     def _does_matter(self, one: NamedCause, at: Fits) -> bool:
-        """Whether an effect of the fit `at` changes as much as matters."""
+        """Whether an effect of the fit `at` changes as much as matters, and more than every rig
+        has of it."""
+        if one.best.effect in self.usual:
+            return False
         task = self.start.data.task
         changes = measure_changes(task, one.without, at, one.best.effect)
         return changes.as_mu_s >= self.matters

@@ -265,16 +265,19 @@ class Evidence:
             out.append(float(q @ K @ np.linalg.solve(S, q) - np.linalg.slogdet(S)[1]))
         return out
 
-    def compute_log_p_values(self, items: Sequence[Item]) -> list[float]:
+    def compute_log_p_values(self, items: Sequence[Item], least_share: float = 0.0) -> list[float]:
         """The logarithm of the probability, for each item of a set, that noise and background make
-        it so large."""
+        it so large; the background scatters by `least_share` of its units at least."""
         found = self.compare([[c for item in items for c in item.columns]])
         out, start = [], 0
         for item in items:
             mine = slice(start, start + len(item.columns))
             start += len(item.columns)
             V = found.covariance[:, 0, mine, mine]
-            V = V + found.background[:, 0, mine, None] * np.eye(len(item.columns))
+            least = (least_share * self._unit[list(item.columns)]) ** 2
+            V = V + np.maximum(found.background[:, 0, mine], least)[:, :, None] * np.eye(
+                len(item.columns)
+            )
             size = found.size[:, 0, mine]
             drop = np.einsum("si,si->s", size, np.linalg.solve(V, size[:, :, None])[:, :, 0])
             tail = scipy.stats.chi2.logsf(drop, len(item.columns))

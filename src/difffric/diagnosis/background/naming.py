@@ -19,6 +19,9 @@ from difffric.rig.catalogue import numbers_of
 
 _LOOKS = 10
 """How many independent looks a scan over a wavelength, a place or a speed is worth."""
+USUAL_SHARE = 0.4
+"""Share of their units by which the small effects of a usual rig scatter: 0.2 % of F_p or d each.
+What stays within that is none that matters, however well it is seen."""
 _ROUNDS = 20
 """Steps at most of the fit with the causes alone."""
 _CONSIDERED = 3
@@ -44,6 +47,18 @@ def keep_significant(
             return tuple(items), p_values
         items.pop(worst)
     return (), []
+
+
+def list_outstanding(
+    evidence: Evidence, items: Sequence[Item], significant: float
+) -> frozenset[str]:
+    """List those of the causes that are larger than a usual background would make them, too."""
+    log = evidence.compute_log_p_values(items, USUAL_SHARE) if items else []
+    return frozenset(
+        item.effect
+        for item, x in zip(items, log, strict=True)
+        if x + np.log(_count_looks(evidence, item)) < np.log(significant)
+    )
 
 
 def _count_looks(evidence: Evidence, item: Item) -> int:

@@ -23,9 +23,9 @@ UNIT_CHANGE = 0.005
 _RATIO_TYPICAL = 0.1
 """The relative change of mu_k / mu_s that one may meet; other effects' coordinates are 1 at such a
 size."""
-_LARGEST = 4.0
+_LARGEST = 2.0
 """Times a size that one may meet: the largest unit, of an effect that changes neither F_p nor d."""
-_FARTHEST = 5.0
+_FARTHEST = 2.0
 """Times a size that one may meet, beyond which an effect is not small."""
 _STEP = 0.1
 """Share of such a size by which an effect is moved to see what it changes."""
