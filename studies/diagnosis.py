@@ -159,7 +159,7 @@ def true_model(found, case: cases.Case) -> dict | None:
     or not to be followed."""
     from difffric.diagnosis.cross_validation import assign_folds
     from difffric.estimation import ensemble as en
-    from difffric.estimation import ensemble_refits
+    from difffric.estimation import ensemble_refits, held_out
     from difffric.rig.catalogue import numbers_of
 
     state = found.state
@@ -189,7 +189,7 @@ def true_model(found, case: cases.Case) -> dict | None:
         return None
     at = ensemble_refits.refit(task, at, 30)
     folds = assign_folds(np.asarray(task.model.pushes.velocity), False)
-    squares = ensemble_refits.predict_held_out(task, replace(at, spread=base.spread), folds).squares
+    squares = held_out.predict_held_out(task, replace(at, spread=base.spread), folds).squares
     return {
         "heldout_nrmse": float(np.sqrt(squares.sum() / task.counts.sum())),
         "better_by": float(en.criterion(task, base)[0] - en.criterion(task, at)[0]),

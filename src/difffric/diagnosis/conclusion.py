@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from threading import Thread
 
 import numpy as np
 
@@ -118,8 +117,6 @@ class Findings:
     total: float | None
     """what there was to explain in -2 log likelihood; None: nothing was found"""
     notes: tuple[str, ...]
-    compiling: Thread | None
-    """compiles the program of free forms, where they may be needed"""
     explained: bool | None = None
     """whether the causes, and a background of small effects beside them, explain the data better
     than a curve of no particular form; None: they were not compared"""
@@ -251,8 +248,6 @@ def _locate_unexplained(
     if left < _DOUBTED and len(found.causes) < 2 and not nothing:
         return None
     tell("looking for the component", 0.92)
-    if found.compiling is not None:
-        found.compiling.join()
     location = locate(task, plain, found.data.scales, found.lack.excess)
     drop = float(ensemble.criterion(task, plain)[0] - ensemble.criterion(task, whole)[0])
     numbers = len(whole.extra[0]) - len(plain.extra[0])

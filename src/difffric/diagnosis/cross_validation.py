@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from difffric.estimation import ensemble_refits
+from difffric.estimation import held_out
 from difffric.estimation.ensemble import EnsembleTask, Fits
 
 FLOOR = 1e-3
@@ -54,7 +54,7 @@ class CrossValidation:
     task: EnsembleTask
     folds: NDArray
     """(n,) numbers of the folds"""
-    known: dict[tuple, ensemble_refits.HeldOut] = field(default_factory=dict, repr=False)
+    known: dict[tuple, held_out.HeldOut] = field(default_factory=dict, repr=False)
     """what was predicted already, by all that says where the fits stand"""
 
     @property
@@ -106,13 +106,13 @@ class CrossValidation:
         p_value = self.measure_floor_p_value(fits)
         return p_value is None or p_value > FLOOR
 
-    def _predict(self, fits: Fits) -> ensemble_refits.HeldOut:
+    def _predict(self, fits: Fits) -> held_out.HeldOut:
         """Return what fits say of the held-out pushes: the same fits are asked about again and
         again."""
         where = (fits.c, fits.mu, fits.own, fits.scatter, fits.spread, fits.gram)
         key = (fits.extra, *(np.asarray(x).tobytes() for x in where))
         if key not in self.known:
-            self.known[key] = ensemble_refits.predict_held_out(self.task, fits, self.folds)
+            self.known[key] = held_out.predict_held_out(self.task, fits, self.folds)
         return self.known[key]
 
 

@@ -48,6 +48,8 @@ _BEYOND = 1.2
 """A compression that is thought of, over the one at the largest force."""
 _LEAST_SCATTER = 1e-4
 """Relative scatter of mu_s from which a search starts at least, so that it can grow."""
+SUBSET = 6
+"""Pushes that a scan looks at: enough speeds to tell effects apart, at a fraction of the cost."""
 
 
 @dataclass(frozen=True)
@@ -133,6 +135,19 @@ def _extend_by_all(
     coordinates = Coordinates.of(extended(plain, every))
     whole = extended(plain, {e: keys for e, keys in every.items() if e != PRESLIDING})
     return ExtendedModel(coordinates, whole, pushes, kind, plain=plain)
+
+
+def choose_subset(task: EnsembleTask, most: int = SUBSET) -> NDArray:
+    """The numbers of some `most` pushes for a scan: over all speeds, and one of each condition."""
+    v = np.asarray(task.model.pushes.velocity)
+    if task.n <= most:
+        return np.arange(task.n)
+    order = np.lexsort((np.arange(task.n), v))
+    chosen = set(order[np.linspace(0, task.n - 1, most).round().astype(int)].tolist())
+    for k in range(task.conditions):  # one of each condition at least
+        if not chosen & set(np.flatnonzero(task.condition == k).tolist()):
+            chosen.add(int(np.flatnonzero(task.condition == k)[0]))
+    return np.array(sorted(chosen))
 
 
 def _stack_table(

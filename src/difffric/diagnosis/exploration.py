@@ -13,11 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from difffric.diagnosis.data import choose_subset
 from difffric.diagnosis.score_test import Score, compute_p_value, step_off_null
 from difffric.diagnosis.shape_scan import SHAPED, is_within_travel, scan_shapes
 from difffric.diagnosis.starting_values import list_starting_values
 from difffric.estimation import ensemble, ensemble_refits
-from difffric.estimation.ensemble import EnsembleTask, Fits, choose_subset
+from difffric.estimation.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import RATIO, numbers_of
 from difffric.rig.scales import Scales
 

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from difffric.diagnosis.data import choose_subset
 from difffric.estimation import ensemble, ensemble_refits
-from difffric.estimation.ensemble import EnsembleTask, Fits, choose_subset
+from difffric.estimation.ensemble import EnsembleTask, Fits
 from difffric.rig import free_form
 from difffric.rig.free_form import FORMS
 from difffric.rig.scales import Scales
@@ -79,7 +80,7 @@ def locate(
     plain: Fits,
     scales: Scales,
     excess: float,
-    among: Sequence[str] = tuple(FORMS),
+    among: tuple[str, ...] = tuple(FORMS),
 ) -> Location:
     """Locate what a plain fit (an ensemble of one) leaves unexplained.
 

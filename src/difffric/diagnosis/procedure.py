@@ -1,19 +1,18 @@
 """Given measured data: what the simulation gets wrong, the cause, and what mending it gains.
 
-The plain model is fitted; then one effect after the other is looked for on top of what is there,
-kept where it is significant and gains on held-out pushes, and dropped again where later ones made
-it needless. What of it changes too little to matter is told, and is no cause.
+The plain model is fitted; then all small effects with it, and the set of causes is looked for that
+stands out of them (`background`). What of it changes too little to matter is told, and is no cause.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from threading import Thread
 
 import numpy as np
 
 from difffric.compute.precision import require_float64
+from difffric.diagnosis.background.evidence import Item
 from difffric.diagnosis.background.free_curves import compare_with_curves
 from difffric.diagnosis.background.naming import (
     compare_rivals,
@@ -22,23 +21,20 @@ from difffric.diagnosis.background.naming import (
     keep_significant,
     list_outstanding,
 )
-from difffric.diagnosis.background.search import fit_beside_background, search_background
+from difffric.diagnosis.background.search import (
+    MOST_EXCESS,
+    BackgroundSearch,
+    fit_beside_background,
+    search_background,
+)
 from difffric.diagnosis.combinations.explanation import explain_table
 from difffric.diagnosis.conclusion import SIGNIFICANT, Findings, NamedCause, conclude
 from difffric.diagnosis.cross_validation import CrossValidation, assign_folds
 from difffric.diagnosis.exploration import CandidateCause, explore, is_promising
 from difffric.diagnosis.impossible_measurements import find_unreachable
 from difffric.diagnosis.lack_of_fit import LackOfFit, is_misfit_large, measure_lack_of_fit
-from difffric.diagnosis.location import add_free_forms
 from difffric.diagnosis.score_test import Score, compute_p_value, run_score_tests
-from difffric.diagnosis.start import (
-    SearchStart,
-    find_better_base,
-    find_better_optimum,
-    fit_plain_model,
-    prepare_start,
-)
-from difffric.diagnosis.starting_values import SMOOTH_AT_NULL
+from difffric.diagnosis.start import SearchStart, fit_plain_model, prepare_start
 from difffric.diagnosis.verdict import Diagnosis, measure_changes
 from difffric.errors import InputError, NumericalError
 from difffric.estimation import ensemble, ensemble_refits
@@ -56,19 +52,10 @@ PUSH, SPEED = "push", "speed"
 MATTERS = 0.005
 """Share of mu_s by which a cause must change what is inferred to be one: a third of the scatter
 of a good rig from push to push."""
-MOST = 3
-"""Causes that are looked for at most."""
-_ADDED = 6
-"""Effects that are added at most, those that turn out not to matter among them."""
-_RESTARTS = 3
-"""How often a round begins anew where the fit that it extends turns out not to be the best."""
 _FEWEST = 3
 """Pushes from which on one can be held out."""
-_NOTHING_LEFT = 0.01
-"""Probability above which neither a misfit nor a score test calls for another round."""
 _ROUNDS = 40
-"""Steps at most of a refit with one more cause: strong effects take many, and what is left has to
-be the best fit's."""
+"""Steps at most of a refit with a combination of causes."""
 _BACKGROUND = 0.05
 """Share of their units by which small effects scatter, from which something outside the catalogue
 may pass for them."""
@@ -137,8 +124,6 @@ class _CauseSearch:
     test"""
     total: float | None = None
     """what there was to explain, in -2 log likelihood"""
-    compiling: Thread | None = None
-    """compiles the program of free forms"""
     notes: tuple[str, ...] = ()
     """what a reader should know of the search"""
     usual: frozenset[str] = frozenset()
@@ -204,7 +189,6 @@ class _CauseSearch:
             certificates=certificates,
             total=self.total,
             notes=self.notes,
-            compiling=self.compiling,
             explained=self.explained,
             curves=self.curves,
         )
@@ -252,19 +236,24 @@ class _CauseSearch:
     def _add_standing(self) -> None:
         """Add the causes that stand out of a background of small effects."""
         data, task = self.start.data, self.start.data.task
-        wanted = [effect for effect in self._list_wanted() if effect != PRESLIDING]
+        wanted = self._list_wanted()
+        small = [effect for effect in wanted if effect != PRESLIDING]
         self.tell("looking for causes", 0.3)
-        found = search_background(data, self.plain, self.start.guess, wanted, self.matters > 0)
+        found = search_background(data, self.plain, self.start.guess, small, self.matters > 0)
         items, p_values = keep_significant(found.evidence, found.best, SIGNIFICANT)
         if self.matters > 0:
             outstanding = list_outstanding(found.evidence, items, SIGNIFICANT)
             self.usual = frozenset(item.effect for item in items) - outstanding
-        self.scores = run_score_tests(task, self.plain, wanted)
+        self.scores = run_score_tests(task, self.plain, small)
         self.visible |= {effect: score.visible for effect, score in self.scores.items()}
-        if items or found.evidence.estimate_share() > _BACKGROUND:
+        share = found.evidence.estimate_share(items)
+        if items or share > _BACKGROUND:
             self.tell("comparing with curves of no particular form", 0.6)
             compared = compare_with_curves(data, found, items)
             self.explained, self.curves = not compared.is_outside, (compared.best,)
+        poor = found.evidence.excess > MOST_EXCESS or self.explained is False
+        if PRESLIDING in wanted and poor and self._add_bristles(len(wanted)):
+            return
         self.tell("fitting the causes", 0.7)
         self.base = self.whole = fit_causes(task, self.plain, found, items)
         if items:
@@ -273,23 +262,47 @@ class _CauseSearch:
             if value[1] < value[0]:
                 self.plain, self.lack = bare, measure_lack_of_fit(task, bare)
         self.considered = fit_singles(task, self.plain, found)
-        if found.evidence.estimate_share(items) > _BACKGROUND:
-            task, self.whole = fit_beside_background(data, found, items)
-            self.start = replace(self.start, data=replace(data, task=task))
-            self.validation = CrossValidation(task, self.validation.folds)
-        value = float(ensemble.criterion(task, self.whole)[0])
+        if share > _BACKGROUND:
+            assumed, self.whole = fit_beside_background(data, found, items)
+            self.start = replace(self.start, data=replace(data, task=assumed))
+            self.validation = CrossValidation(assumed, self.validation.folds)
         for item, p_value in zip(items, p_values, strict=True):
-            without = self._leave_out(self.whole, item.effect)
-            drop = float(ensemble.criterion(task, without)[0]) - value
-            score = self.scores.get(item.effect)
-            price = len(numbers_of(item.effect)) * task.price
-            predicted = score.drop if score else 0.0
-            if drop < price:  # it was there to make up for what another one did
-                continue
-            one = CandidateCause(item.effect, self.whole, drop, predicted, p_value, drop - price)
-            others = compare_rivals(data.task, self.base, found, items, one)
-            self.named.append(NamedCause(one, others, without))
+            self._add_cause(found, items, item, p_value)
         self.total = max(self.lack.excess, *(one.best.drop for one in self.named), 1.0)
+
+    def _add_cause(
+        self, found: BackgroundSearch, items: Sequence[Item], item: Item, p_value: float
+    ) -> None:
+        """Add one of the causes `items`, unless the fit is as good without it."""
+        task, whole = self.start.data.task, self.whole or self.base
+        without = self._leave_out(whole, item.effect)
+        value = ensemble.criterion(task, ensemble.join(without, whole))
+        drop, price = float(value[0] - value[1]), len(numbers_of(item.effect)) * task.price
+        if drop < price:  # it was there to make up for what another one did
+            return
+        score = self.scores.get(item.effect)
+        predicted = score.drop if score else 0.0
+        one = CandidateCause(item.effect, whole, drop, predicted, p_value, drop - price)
+        others = compare_rivals(found.data.task, self.base, found, items, one)
+        self.named.append(NamedCause(one, others, without))
+
+    def _add_bristles(self, looked_for: int) -> bool:
+        """Add bristles, which have no null and take a program of their own that takes long, where
+        they explain what nothing else does; whether they do."""
+        task, scales = self.start.data.task, self.start.data.scales
+        strong = is_misfit_large(task, self.plain)
+        if not strong or not is_promising(task, self.plain, PRESLIDING, scales):
+            return False
+        self.tell("looking for bristles", 0.65)
+        (best,) = explore(task, self.plain, [PRESLIDING], scales, {}, far=strong)
+        p_value = compute_p_value(PRESLIDING, best.drop, looked_for)
+        if p_value > SIGNIFICANT or is_misfit_large(task, best.fits):
+            return False
+        one = replace(best, p_value=p_value)
+        self.base = self.whole = best.fits
+        self.named, self.considered = [NamedCause(one, (one,), self.plain)], [one]
+        self.total, self.explained = max(self.lack.excess, best.drop), True
+        return True
 
     def _list_causes(self) -> list[NamedCause]:
         """List what was added and matters."""
@@ -304,116 +317,11 @@ class _CauseSearch:
         changes = measure_changes(task, one.without, at, one.best.effect)
         return changes.as_mu_s >= self.matters
 
-    def _arrive(self, k: int) -> None:
-        """Look for a better optimum of the model with what was added by now, while it is not at its
-        noise floor: what such a fit leaves would be taken for further effects, and those that were
-        added to a worse one may be needless."""
-        before = self.base
-        for _ in range(_RESTARTS):
-            if self.validation.is_at_floor(self.base):
-                break
-            self.tell("looking for a better fit", 0.3 + 0.1 * k)
-            better = find_better_optimum(self.start.data.task, self.base, self.start.guess)
-            if better is None:
-                break
-            self.base = better
-        if self.base is not before:
-            self.named, self.base = self._drop_needless(self.named, self.base, len(self.named))
-
-    def _look_once_more(self, k: int) -> bool:
-        """Look for one more cause in round k; whether another round may find another one."""
-        task = self.start.data.task
-        self.tell("looking for a cause", 0.3 + 0.1 * k)
-        wanted = self._list_wanted()
-        scores = run_score_tests(task, self.base, wanted)
-        self.scores = self.scores or scores
-        self.visible |= {effect: score.visible for effect, score in scores.items()}
-        if k and self._is_enough(scores):
-            return False
-        if k and self.compiling is None:  # free forms may be needed, and take long to compile
-            wide = add_free_forms(task, self.start.data.scales).model
-            self.compiling = Thread(target=wide.compile, daemon=True)
-            self.compiling.start()
-        found = self._explore_from_best_base(wanted, scores, k)
-        self.considered = self.considered or found
-        found = [c for c in found if c.p_value < SIGNIFICANT]
-        best = next((c for c in found if self.validation.is_better(c.fits, self.base)), None)
-        if best is None:
-            return False
-        self.total = self.total or max(self.lack.excess, best.drop)
-        if self.validation.is_at_floor(self.base):
-            every = [NamedCause(c, tuple(found), self.base) for c in found if c.penalised_drop > 0]
-            if not any(self._does_matter(one, one.best.fits) for one in every):
-                self.small = every
-                return False
-        return self._add(NamedCause(best, tuple(found), self.base))
-
     def _list_wanted(self) -> list[str]:
         """List the effects that are not in the model."""
         there = {name.partition(".")[0] for name in self.start.known}
         there |= {one.best.effect for one in self.named}
         return [effect for effect in self.start.data.looked_for if effect not in there]
-
-    def _is_enough(self, scores: Mapping[str, Score]) -> bool:
-        """Whether nothing is left that a further search could find."""
-        left = measure_lack_of_fit(self.start.data.task, self.base)
-        seen = [compute_p_value(e, s.drop, len(scores)) for e, s in scores.items()]
-        fits = left.p_value is None or left.p_value > _NOTHING_LEFT
-        return fits and min(seen, default=1.0) > _NOTHING_LEFT
-
-    def _explore_from_best_base(
-        self, wanted: Sequence[str], scores: Mapping[str, Score], k: int
-    ) -> list[CandidateCause]:
-        """Return the leading effects in round k, the best first, on top of a base that none of
-        them shows to be a poor fit."""
-        task = self.start.data.task
-        found: list[CandidateCause] = []
-        for _ in range(_RESTARTS):
-            found = self._explore(wanted, scores, k)
-            suspect = is_misfit_large(task, self.base) or any(
-                c.p_value < SIGNIFICANT for c in found
-            )
-            better = find_better_base(task, self.base, found) if suspect else None
-            if better is None:
-                break
-            self.base = better
-            if not self.named:
-                self.plain, self.lack = better, measure_lack_of_fit(task, better)
-            scores = run_score_tests(task, self.base, wanted)
-        return found
-
-    def _explore(
-        self, wanted: Sequence[str], scores: Mapping[str, Score], k: int
-    ) -> list[CandidateCause]:
-        """Return the leading effects on top of the base, the best first.
-
-        Bristles have no null, and take a program of their own that takes long: they are looked for
-        where the misfit is large, no other effect explains it and they might.
-        """
-        task, scales, base = self.start.data.task, self.start.data.scales, self.base
-        strong = is_misfit_large(task, base)
-
-        def explore_part(effects: Sequence[str], part: float) -> list[CandidateCause]:
-            def tell(share: float) -> None:
-                self.tell("looking for a cause", 0.3 + 0.1 * (k + part * share))
-
-            return explore(task, base, effects, scales, scores, tell, strong)
-
-        found = explore_part([e for e in wanted if e != PRESLIDING], 0.8)
-        unexplained = strong and all(is_misfit_large(task, c.fits) for c in found)
-        if PRESLIDING in wanted and unexplained and is_promising(task, base, PRESLIDING, scales):
-            found += explore_part([PRESLIDING], 1.0)
-        return sorted(found, key=lambda c: -c.penalised_drop)
-
-    def _add(self, cause: NamedCause) -> bool:
-        """Add a cause to the model, drop those that it makes needless, and tell whether that
-        gains on held-out pushes; where it does not, nothing is added."""
-        new = ensemble_refits.refit(self.start.data.task, cause.best.fits, _ROUNDS)
-        named, new = self._drop_needless([*self.named, cause], new, len(self.named))
-        if not self.validation.is_better(new, self.base):
-            return False
-        self.named, self.base = named, new
-        return True
 
     def _drop_needless(
         self, named: list[NamedCause], base: Fits, first: int
@@ -442,13 +350,3 @@ class _CauseSearch:
         extra = tuple(i for i in base.extra[0] if i not in gone)
         less = replace(base, c=c, extra=(extra,), gram=None, damping=None)
         return ensemble_refits.refit(task, less, _ROUNDS_WITHOUT)
-
-    def _add_alternatives(self) -> None:
-        """Add to what the search compared each cause with what else could stand in its place."""
-        data, whole = self.start.data, []
-        for one in self.named:
-            there = {c.effect for c in one.others}
-            more = [e for e in data.looked_for if e in SMOOTH_AT_NULL and e not in there]
-            found = find_alternatives(data.task, self.plain, self.base, one.best, more)
-            whole.append(replace(one, others=(*one.others, *found)))
-        self.named = whole

@@ -22,8 +22,6 @@ _SCATTERS = np.geomspace(1e-6, 0.3, 40)
 """Relative scatters of mu_s that are looked at, from none to more than a guide ever has."""
 REJECTED = 1e12
 """The square of a residual where a push could not be followed: no fit goes there."""
-SUBSET = 6
-"""Pushes that a scan looks at: enough speeds to tell effects apart, at a fraction of the cost."""
 _LEAST_DIAGONAL = 1e-9
 """A diagonal of the normal equations up to this says that nothing depends on the parameter."""
 _RIDGE = 1e-13
@@ -129,19 +127,6 @@ def join(*parts: Fits) -> Fits:
 
     extra = tuple(own for p in parts for own in p.extra)
     return replace(parts[0], extra=extra, **{name: concatenate(name) for name in _ARRAYS})
-
-
-def choose_subset(task: EnsembleTask, most: int = SUBSET) -> NDArray:
-    """The numbers of some `most` pushes for a scan: over all speeds, and one of each condition."""
-    v = np.asarray(task.model.pushes.velocity)
-    if task.n <= most:
-        return np.arange(task.n)
-    order = np.lexsort((np.arange(task.n), v))
-    chosen = set(order[np.linspace(0, task.n - 1, most).round().astype(int)].tolist())
-    for k in range(task.conditions):  # one of each condition at least
-        if not chosen & set(np.flatnonzero(task.condition == k).tolist()):
-            chosen.add(int(np.flatnonzero(task.condition == k)[0]))
-    return np.array(sorted(chosen))
 
 
 def widen(gram: NDArray, size: int) -> NDArray:

@@ -2,13 +2,12 @@
 
 `refit` takes all fits to their optima together. Where a push has several mu_s that fit, no small
 step leads from one to another: `rescan_bad_pushes` and `rescan_loose_pushes` look on a grid.
-`predict_held_out` says what fits to the other pushes make of each push. Axes as in `ensemble`.
+Axes as in `ensemble`.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,18 +26,10 @@ _FAR = 0.5
 """A push's own log mu_s is not moved further than this at once: a linear prediction is no guide."""
 _BAD = 3.0
 """Squared residual per number from which a push fits badly."""
-_ASTRAY = 3.0
-"""Times what a push's squares are where it is fitted, or would be: a prediction beyond is no mere
-lack of data."""
-_ANEW = 10
-"""Rounds of a fit that is made anew for a push that is held out."""
-_JUMP = 3.0
-"""Standard deviations of chi-square beyond the fit's, from which a prediction may be on another
-branch of its own mu_s."""
 _OWN = np.linspace(-0.35, 0.35, 21)
 _FINE = np.linspace(-0.7, 0.7, 113)
 """The own log mu_s that are tried in a push that fits badly, and those where that led nowhere."""
-_LOOSE, _NEAR = 5e-4, np.linspace(-3.0, 3.0, 13)
+LOOSE, _NEAR = 5e-4, np.linspace(-3.0, 3.0, 13)
 """The standard error of a push's own log mu_s from which it is looked for on a grid, and the grid
 in units of it."""
 _WORTH = 1.0
@@ -80,13 +71,13 @@ def _predict_step(task: EnsembleTask, fits: Fits, damping: ArrayLike) -> tuple[F
     """The fits after one damped Gauss-Newton step, and the fall of the sum of squares (m,) that
     their linear models promise of it."""
     found = en.normal_equations(task, fits)
-    now = _gather_point(task, fits)
-    step = solve_within(found.H, found.g, now, *_find_limits(task, fits), damping)
+    now = gather_point(task, fits)
+    step = solve_within(found.H, found.g, now, *find_limits(task, fits), damping)
     new = now + step
     weight = 1.0 / (found.z + 1.0 / fits.scatter[:, None] ** 2)
     own = -(found.gm + np.einsum("mnp,mp->mn", found.h, step)) * weight
     gain = -np.einsum("mp,mp->m", step, 2 * found.g + np.einsum("mpq,mq->mp", found.H, step))
-    return replace(_place_at(task, fits, new), own=own, gram=None), gain
+    return replace(place_at(task, fits, new), own=own, gram=None), gain
 
 
 def _settle_own(task: EnsembleTask, fits: Fits, pushes: NDArray | None) -> Fits:
@@ -144,9 +135,9 @@ def _list_columns(task: EnsembleTask, extra: tuple[int, ...]) -> list[int]:
     return [*task.shared, *extra]
 
 
-def _find_limits(task: EnsembleTask, fits: Fits) -> tuple[NDArray, NDArray]:
+def find_limits(task: EnsembleTask, fits: Fits) -> tuple[NDArray, NDArray]:
     """The lower and the upper bounds (m, P) of the parameters."""
-    P = _gather_point(task, fits).shape[1]
+    P = gather_point(task, fits).shape[1]
     lower, upper = np.full((fits.m, P), -np.inf), np.full((fits.m, P), np.inf)
     for j, extra in enumerate(fits.extra):
         for k, i in enumerate(_list_columns(task, extra)):
@@ -154,7 +145,7 @@ def _find_limits(task: EnsembleTask, fits: Fits) -> tuple[NDArray, NDArray]:
     return lower, upper
 
 
-def _gather_point(task: EnsembleTask, fits: Fits) -> NDArray:
+def gather_point(task: EnsembleTask, fits: Fits) -> NDArray:
     """The parameters (m, P) where the fits stand."""
     width = len(task.shared) + max((len(x) for x in fits.extra), default=0)
     if fits.gram is not None:
@@ -167,7 +158,7 @@ def _gather_point(task: EnsembleTask, fits: Fits) -> NDArray:
     return out
 
 
-def _place_at(task: EnsembleTask, fits: Fits, point: NDArray) -> Fits:
+def place_at(task: EnsembleTask, fits: Fits, point: NDArray) -> Fits:
     """The fits with their parameters at `point` (m, P)."""
     c = fits.c.copy()
     for j, extra in enumerate(fits.extra):
@@ -234,17 +225,17 @@ def rescan_loose_pushes(task: EnsembleTask, fits: Fits) -> Fits:
     leave open: where a push sticks, its answer jumps with mu_s, and no derivative says so."""
     if not task.mu_free:
         return fits
-    error = _compute_own_errors(fits)
-    return _rescan(task, fits, error > _LOOSE, _make_grid(fits, error), 1.0)
+    error = compute_own_errors(fits)
+    return _rescan(task, fits, error > LOOSE, make_own_grid(fits, error), 1.0)
 
 
-def _compute_own_errors(fits: Fits) -> NDArray:
+def compute_own_errors(fits: Fits) -> NDArray:
     """The standard error (m, n) of each push's own log mu_s."""
     z = np.einsum("mnk,mk->mn", fits.gram[:, :, :, 0, 0], 1.0 / fits.spread**2)
     return (z + 1.0 / fits.scatter[:, None] ** 2) ** -0.5
 
 
-def _make_grid(fits: Fits, error: NDArray) -> NDArray:
+def make_own_grid(fits: Fits, error: NDArray) -> NDArray:
     """The own log mu_s (m, n, values) to try, within what the pushes leave open."""
     return fits.own[:, :, None] + error[:, :, None] * _NEAR
 
@@ -260,7 +251,7 @@ def _rescan(task: EnsembleTask, fits: Fits, asked: NDArray, grid: NDArray, charg
     before = np.einsum("pk,pk->p", fits.gram[j, i][..., -1, -1], 1.0 / fits.spread[j] ** 2)
     before = before + penalty * fits.own[j, i] ** 2
     tried = grid[j, i]
-    squares = _sum_squares_at(task, fits, j, i, fits.c[j], fits.mu[j, task.condition[i]], tried)
+    squares = sum_squares_at(task, fits, j, i, fits.c[j], fits.mu[j, task.condition[i]], tried)
     value = squares + penalty[:, None] * tried**2
     best = np.argmin(value, axis=1)
     better = np.take_along_axis(value, best[:, None], 1)[:, 0] < before - _WORTH
@@ -271,7 +262,7 @@ def _rescan(task: EnsembleTask, fits: Fits, asked: NDArray, grid: NDArray, charg
     return replace(fits, own=own, gram=None, residual=None, damping=None)
 
 
-def _sum_squares_at(
+def sum_squares_at(
     task: EnsembleTask, fits: Fits, j: NDArray, i: NDArray, c: NDArray, mu: NDArray, own: NDArray
 ) -> NDArray:
     """The sums of squares (N, values) of pushes i (N,) of fits j (N,) at coordinates c (N, K), log
@@ -299,118 +290,3 @@ def replace_fits(fits: Fits, which: NDArray, new: Fits) -> Fits:
 
     names = ("c", "mu", "own", "scatter", "spread", "gram", "residual")
     return replace(fits, **{x: put(getattr(fits, x), getattr(new, x)) for x in names})
-
-
-class HeldOut(NamedTuple):
-    """What fits say of pushes that they have not seen."""
-
-    squares: NDArray
-    """(m, n) sums of squares, each push's own mu_s alone re-estimated"""
-    penalised: NDArray
-    """(m, n) the same with what that mu_s costs beside its scatter"""
-    surprise: NDArray
-    """(m, n) -2 log likelihood but for a constant, each push's own mu_s averaged over: what
-    explains the scatter of mu_s, as a drift does, gains here and not in the squares"""
-    expected: NDArray
-    """(m, n) what noise alone leaves of the penalised squares on average, the error of a fit to
-    the other folds included"""
-    variance: NDArray
-    """(m, n) of the same"""
-
-
-def predict_held_out(task: EnsembleTask, fits: Fits, folds: NDArray) -> HeldOut:
-    """Each push as a fit to the other folds predicts it. `folds` (n,) numbers each push's fold.
-
-    The parameters without a fold are one Gauss-Newton step from the fit to everything; where that
-    leads astray they are fitted anew. The push is then followed with them, exactly.
-    """
-    parts = en.split_by_push(task, fits)
-    H_i, h, z, g_i, gm, _ = parts
-    weight = 1.0 / (z + 1.0 / fits.scatter[:, None] ** 2)
-    H_i = H_i - np.einsum("mnp,mnq,mn->mnpq", h, h, weight)
-    g_i = g_i - h * (gm * weight)[:, :, None]
-    limits, now = _find_limits(task, fits), _gather_point(task, fits)
-    c = np.repeat(fits.c[:, None], task.n, axis=1)
-    mu = np.zeros((fits.m, task.n))
-    noise = np.zeros((2, fits.m, task.n))
-    for fold in np.unique(folds):
-        out = folds == fold
-        H, g = H_i[:, ~out].sum(axis=1), g_i[:, ~out].sum(axis=1)
-        at = _place_at(task, fits, now + solve_within(H, g, now, *limits))
-        c[:, out], mu[:, out] = at.c[:, None], at.mu[:, task.condition[out]]
-        noise[:, :, out] = _foresee_squares(task, H, H_i[:, out], np.flatnonzero(out))
-    found = _predict(task, fits, c, mu, noise)
-    seen = np.einsum("mnk,mk->mn", fits.gram[..., -1, -1], 1.0 / fits.spread**2)
-    numbers = task.counts.sum(axis=1)
-    jumps = found.squares > seen + _JUMP * np.sqrt(2 * numbers)
-    branches = _choose_branches(task, fits, jumps, c, mu)
-    if branches is not fits:
-        fits, found = branches, _predict(task, branches, c, mu, noise)
-    astray = found.squares > _ASTRAY * (seen + numbers)
-    for j, fold in {(j, folds[i]) for j, i in np.argwhere(astray)}:
-        out = folds == fold
-        at = replace(fits.pick([j]), gram=None, residual=None, damping=None)
-        at = refit(task, at, _ANEW, np.flatnonzero(~out))
-        c[j, out], mu[j, out] = at.c, at.mu[0, task.condition[out]]
-    return _predict(task, fits, c, mu, noise) if astray.any() else found
-
-
-def _foresee_squares(task: EnsembleTask, H: NDArray, H_i: NDArray, which: NDArray) -> NDArray:
-    """The mean and the variance (2, m, which) of the penalised squares of pushes `which`, held out
-    of a fit with the normal equations H (m, P, P), to which each would add H_i (m, which, P, P)."""
-    zeros = task.model.recordings * (task.counts[which, 1] > 0)  # each position has its own zero
-    numbers = task.counts[which].sum(axis=1) - zeros
-    columns = np.moveaxis(H_i, 1, 2).reshape(*H.shape[:2], -1)
-    # What the other folds do not determine is held where it is, and foreseen without an error.
-    share = np.stack([-en.solve(H, columns[:, :, k]) for k in range(columns.shape[2])], axis=2)
-    share = np.moveaxis(share.reshape(*H.shape[:2], len(which), -1), 2, 1)
-    first = np.einsum("mnpp->mn", share)
-    second = np.einsum("mnpq,mnqp->mn", share, share)
-    return np.stack([numbers + first, 2 * (numbers + 2 * first + second)])
-
-
-def _choose_branches(
-    task: EnsembleTask, fits: Fits, asked: NDArray, c: NDArray, mu: NDArray
-) -> Fits:
-    """The fits with the own mu_s that is best at coordinates c (m, n, K) and log mu_s mu (m, n), of
-    those pushes `asked` (m, n) that hardly tell it."""
-    error = _compute_own_errors(fits)
-    j, i = np.nonzero(asked & (error > _LOOSE))
-    if not task.mu_free or not len(j):
-        return fits
-    tried = _make_grid(fits, error)[j, i]
-    value = _sum_squares_at(task, fits, j, i, c[j, i], mu[j, i], tried)
-    value = value + (tried / fits.scatter[j, None]) ** 2
-    own = fits.own.copy()
-    own[j, i] = np.take_along_axis(tried, np.argmin(value, axis=1)[:, None], 1)[:, 0]
-    return replace(fits, own=own)
-
-
-def _predict(task: EnsembleTask, fits: Fits, c: NDArray, mu: NDArray, noise: NDArray) -> HeldOut:
-    """What pushes followed at coordinates c (m, n, K) and log mu_s mu (m, n) say, with their own
-    mu_s estimated anew; `noise` (2, m, n) are the mean and the variance of what it alone leaves."""
-    own, c = fits.own, c.copy()
-    squares, penalised, surprise = np.full((3, fits.m, task.n), np.inf)
-    for _ in range(2):
-        c[:, :, 0] = mu + own
-        rows = np.zeros((1, c.shape[2]))
-        rows[0, 0] = float(task.mu_free)
-        found = task.model.answers(
-            np.tile(np.arange(task.n), fits.m), c.reshape(-1, c.shape[2]), rows
-        )
-        G = np.einsum(
-            "mnkij,mk->mnij",
-            found.gram.reshape(fits.m, task.n, 2, 2, 2),
-            1.0 / fits.spread**2,
-        )
-        zz, gz, rr = G[:, :, 0, 0], G[:, :, 0, 1], G[:, :, 1, 1]
-        s = 1.0 / fits.scatter[:, None] ** 2
-        step = -(gz + s * own) / (zz + s)
-        value = rr + 2 * step * gz + step**2 * zz
-        value = np.where(np.isfinite(value), value, en.REJECTED)
-        own = own + np.where(np.isfinite(step), step, 0.0)
-        squares = np.minimum(squares, value)
-        volume = np.where(np.isfinite(zz), np.log1p(zz / s), 0.0)
-        penalised = np.minimum(penalised, value + s * own**2)
-        surprise = np.minimum(surprise, value + s * own**2 + volume)
-    return HeldOut(squares, penalised, surprise, *noise)

@@ -25,6 +25,7 @@ from difffric.compute.xla_options import compile_soon
 from difffric.estimation.block_means import UnevenBlocks
 from difffric.estimation.effect_coordinates import Coordinates
 from difffric.estimation.following.answer_in_columns import answer_in_columns
+from difffric.estimation.following.push_answer import AnswerRows, PushAnswer
 from difffric.estimation.following.thread_pool import map_in_threads
 from difffric.estimation.stacked_data import RECORDINGS, SLIDES, TABLE
 from difffric.rig import catalogue
@@ -67,34 +68,6 @@ class StackedPushes(NamedTuple):
     data: Any
     """(force, position), both `UnevenBlocks`; or, of a table, (measured (n, 2), 1 / standard error
     (n, 2))"""
-
-
-class PushAnswer(NamedTuple):
-    """What the program answers for one pair of a push and its coordinates."""
-
-    gram: Array
-    """(2, D + 1, D + 1) of [J | r] of force and position, r = measured - model, whitened"""
-    model: Array
-    """(2,) F_p [N] and d [m]; NaN: there is none"""
-    residual: Array
-    """(2, m) whitened; of a table m = 1"""
-    rows: Any = None
-    """(2, m, D + 1): [J | r] themselves; None where they were not asked for"""
-
-
-class AnswerRows(NamedTuple):
-    """What a program computes for one pair of a push and its coordinates."""
-
-    rows: Array
-    """(2, m, D + 1): [J | r], J the derivatives of r, whitened"""
-    model: Array
-    """(2,) as in `PushAnswer`"""
-
-    def compare(self, keep_rows: bool) -> PushAnswer:
-        """What a fit takes of them; NumPy's arrays."""
-        gram = np.swapaxes(self.rows, -1, -2) @ self.rows
-        residual = self.rows[..., -1].copy()
-        return PushAnswer(gram, self.model, residual, self.rows if keep_rows else None)
 
 
 def build_push_rig(coordinates: Coordinates, rig: Rig, push: StackedPushes, c: Array) -> Rig:
@@ -406,4 +379,6 @@ class ExtendedModel:
             found = self._program(self._rig, pushes, c, padded)
             rows = np.asarray(found.rows)
             parts.append(rows[..., : some.shape[1]])
-        return AnswerRows(np.concatenate([*parts, rows[..., -1:]], axis=-1), np.asarray(found.model))
+        return AnswerRows(
+            np.concatenate([*parts, rows[..., -1:]], axis=-1), np.asarray(found.model)
+        )

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from difffric.estimation.ensemble import EnsembleTask, Fits
-from difffric.estimation.extended_model import PushAnswer
+from difffric.estimation.following.push_answer import AnswerRows
 
 
 @dataclass
@@ -34,13 +34,13 @@ class LinearModel:
             bounds=lambda name: (-np.inf, np.inf),
         )
 
-    def answers(self, index, c, directions):
+    def answers(self, index, c, directions, keep_rows=False):
         """As `ExtendedModel.answers`."""
         at = np.einsum("nik,nk->ni", self.slopes[index], c)
         rows = np.broadcast_to(directions, (len(c), *np.shape(directions)[-2:]))
         J = -np.einsum("nik,ndk->nid", self.slopes[index], rows)
         A = np.concatenate([J, (self.measured[index] - at)[:, :, None]], axis=2)
-        return PushAnswer(A[:, :, :, None] * A[:, :, None, :], at, A[:, :, -1:])
+        return AnswerRows(A[:, :, None, :], at).compare(keep_rows)
 
 
 def make_task(slopes, measured, names, shared=()) -> EnsembleTask:

@@ -8,7 +8,7 @@ import pytest
 
 from difffric.diagnosis import cross_validation
 from difffric.diagnosis.cross_validation import CrossValidation, assign_folds
-from difffric.estimation import ensemble_refits
+from difffric.estimation import ensemble_refits, held_out
 from difffric.estimation.ensemble import Fits
 from tests.unit.diagnosis.linear_rig import make_task, start
 
@@ -32,7 +32,7 @@ def test_the_same_fits_are_predicted_from_once(monkeypatch):
         asked.append(fits)
         return SimpleNamespace(surprise=np.array([fits.c[0, 0]]))
 
-    monkeypatch.setattr(cross_validation.ensemble_refits, "predict_held_out", predict)
+    monkeypatch.setattr(cross_validation.held_out, "predict_held_out", predict)
     one, own, gram = np.ones((1, 2)), np.zeros((1, 3)), np.zeros((1, 3, 2, 2, 2))
     fits = [Fits(((),), np.full((1, 4), x), own, own, np.ones(1), one, gram) for x in (1.0, 2.0)]
     validation = CrossValidation(None, np.arange(3))  # type: ignore[arg-type]
@@ -57,7 +57,7 @@ def test_what_noise_leaves_of_held_out_pushes_is_foreseen():
     for k in range(300):
         task = replace(draw_task(np.random.default_rng([k, 1]), 2.0), estimate_scatter=False)
         at = ensemble_refits.refit(task, start(task, 2.0), 5)
-        found.append(ensemble_refits.predict_held_out(task, at, folds))
+        found.append(held_out.predict_held_out(task, at, folds))
     left = np.array([x.penalised.sum() for x in found])
     expected = np.array([x.expected.sum() for x in found])
     away = (left - expected) / np.sqrt([x.variance.sum() for x in found])

@@ -64,9 +64,7 @@ def search_sets(evidence: Evidence, items: Sequence[Item]) -> list[CauseSet]:
     return sorted(found, key=lambda one: -one.score)
 
 
-def replace_item(
-    evidence: Evidence, items: Sequence[Item], gone: Item | None
-) -> list[CauseSet]:
+def replace_item(evidence: Evidence, items: Sequence[Item], gone: Item | None) -> list[CauseSet]:
     """Return the sets in which every effect that is not among the `items` stands in the place of
     `gone`, or beside them all, the best first; each effect once."""
     rest = [item for item in items if item is not gone]
@@ -88,9 +86,7 @@ def score_set(evidence: Evidence, items: Sequence[Item]) -> float:
 
 def _combine(items: Sequence[Item], k: int) -> list[tuple[Item, ...]]:
     """All sets of k items, no effect twice."""
-    return [
-        some for some in combinations(items, k) if len({item.effect for item in some}) == k
-    ]
+    return [some for some in combinations(items, k) if len({item.effect for item in some}) == k]
 
 
 def _choose_leaders(singles: Sequence[CauseSet], items: Sequence[Item]) -> list[Item]:
@@ -151,6 +147,7 @@ def _make_sense(evidence: Evidence, items: Sequence[Item], sizes: np.ndarray) ->
             if not low - 1e-9 <= small.null[i] + size <= high + 1e-9:
                 return False
         elif len(item.columns) == 1 and (item.shape.placed or item.shape.typical == 1.0):
-            if not _LIKE_ITSELF[0] < size < _LIKE_ITSELF[1]:
+            low, high = _LIKE_ITSELF
+            if size < low or size > high:
                 return False
     return True

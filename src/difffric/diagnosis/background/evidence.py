@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -124,10 +124,10 @@ class Evidence:
         most = self._make_states(scatters, np.array([1.0]))
         left = min(state.squares for state in most) / max(task.counts.sum() - self._known, 1.0)
         self.excess = max(float(left), 1.0)
-        self._scatters, self._shares = scatters, shares
+        self._scatters, self._shares = np.asarray(scatters), shares
         self._states = self._make_states(scatters, shares)
         self._log_prior = prior
-        self.nothing = float(logsumexp(prior - 0.5 * np.array([s.cost for s in self._states])))
+        self.nothing = float(_sum_logs(prior - 0.5 * np.array([s.cost for s in self._states])))
 
     def _count(self, shapes: ShapeColumns | None) -> int:
         return len(self.small.index) + (0 if shapes is None else len(shapes.unit))
@@ -166,8 +166,8 @@ class Evidence:
             M, h, squares = R[:-1, :-1], R[:-1, -1], float(R[-1, -1])
             for share in shares:
                 if share == 0 and not causes:
-                    cost = squares + volume
-                    out.append(_State(scatter, 0.0, cost, squares, M, h, None, None, *plain))
+                    cost = float(squares + volume)
+                    out.append(_State(float(scatter), 0.0, cost, squares, M, h, None, None, *plain))
                     continue
                 B = share * self._unit
                 B[causes] = _LARGEST * self._typical[causes]
@@ -175,7 +175,7 @@ class Evidence:
                 C = np.linalg.inv(Q)
                 mean = -C @ (B * h)
                 left = squares + float(h @ (B * mean))
-                cost = left + volume + np.linalg.slogdet(Q)[1]
+                cost = float(left + volume + np.linalg.slogdet(Q)[1])
                 out.append(_State(scatter, share, cost, left, M, h, C, mean, *plain, B))
         return out
 
@@ -208,7 +208,7 @@ class Evidence:
             covariances.append(V)
             variances.append(variance)
         log = self._log_prior[:, None] - 0.5 * np.array(cost)
-        total = logsumexp(log, axis=0)
+        total = _sum_logs(log, axis=0)
         return SetFit(
             gain=total - self.nothing,
             weight=np.exp(log - total),
@@ -227,14 +227,14 @@ class Evidence:
         causes = [c for item in items for c in item.columns]
         states = self._make_states(self._scatters, self._shares, causes)
         alone = self._log_prior - 0.5 * np.array([state.cost for state in states])
-        out = [float(logsumexp(alone)) - self.nothing]
+        out = [float(_sum_logs(alone)) - self.nothing]
         for rows in curves:
             cross, gram = np.swapaxes(self._rows, 1, 2) @ rows, np.swapaxes(rows, 1, 2) @ rows
             own = np.einsum("nr,nrk->nk", self._push, rows)
             both = zip(states, alone, strict=True)
             every = [x + 0.5 * g for state, x in both for g in self._gain_curve(
                 state, cross, gram, own, priors)]  # fmt: skip
-            out.append(float(logsumexp(every) - np.log(len(priors)) - self.nothing))
+            out.append(float(_sum_logs(every) - np.log(len(priors)) - self.nothing))
         return out
 
     def _gain_curve(
@@ -281,8 +281,13 @@ class Evidence:
             size = found.size[:, 0, mine]
             drop = np.einsum("si,si->s", size, np.linalg.solve(V, size[:, :, None])[:, :, 0])
             tail = scipy.stats.chi2.logsf(drop, len(item.columns))
-            out.append(float(logsumexp(tail, b=found.weight[:, 0])))
+            out.append(float(_sum_logs(tail, b=found.weight[:, 0])))
         return out
+
+
+def _sum_logs(x: Any, axis: int | None = None, b: Any = None) -> NDArray:
+    """The logarithm of a sum of exponentials, each `b` times."""
+    return np.asarray(logsumexp(x, axis=axis, b=b))
 
 
 def _make_prior(background: bool) -> NDArray:
@@ -312,9 +317,7 @@ def _collect_rows(
     placed = {} if shapes is None else {s.effect for s in shapes.shapes if s.placed}
     names = task.model.coordinates.names
     others = [
-        i
-        for i in at.extra[0]
-        if i not in small.index and names[i].partition(".")[0] not in placed
+        i for i in at.extra[0] if i not in small.index and names[i].partition(".")[0] not in placed
     ]
     free = [*task.shared, *others, *small.index]
     directions = np.zeros((1 + len(free), at.c.shape[1]))

@@ -139,9 +139,7 @@ def fit_causes(
     return fits.pick(int(np.argmin(ensemble.criterion(task, fits))))
 
 
-def fit_singles(
-    task: EnsembleTask, plain: Fits, search: BackgroundSearch
-) -> list[CandidateCause]:
+def fit_singles(task: EnsembleTask, plain: Fits, search: BackgroundSearch) -> list[CandidateCause]:
     """Return the causes that lead by themselves, each fitted on top of the plain fit alone."""
     found = []
     for one in search.singles:
@@ -166,7 +164,11 @@ def fit_singles(
         p_value = float(np.exp(min(log[0] + np.log(_count_looks(search.evidence, item)), 0.0)))
         out.append(
             CandidateCause(
-                item.effect, fits.pick([j]), float(drops[j]), 2 * (one.score + one.price), p_value,
+                item.effect,
+                fits.pick([j]),
+                float(drops[j]),
+                2 * (one.score + one.price),
+                p_value,
                 float(drops[j]) - price,
             )
         )

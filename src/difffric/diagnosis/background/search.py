@@ -21,9 +21,9 @@ from difffric.diagnosis.background.shape_columns import (
     list_shapes,
 )
 from difffric.diagnosis.background.small_effects import SmallEffects, choose_small_effects
-from difffric.diagnosis.data import DiagnosisData
+from difffric.diagnosis.data import DiagnosisData, choose_subset
 from difffric.estimation import ensemble, ensemble_refits
-from difffric.estimation.ensemble import EnsembleTask, Fits, choose_subset
+from difffric.estimation.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import numbers_of
 
 MOST_EXCESS = 1.5
@@ -50,6 +50,7 @@ causes is fitted."""
 class BackgroundSearch:
     """Where the search ended."""
 
+    data: DiagnosisData
     joint: Fits
     """the fit with all small effects, and the shapes that stand out (an ensemble of one)"""
     small: SmallEffects
@@ -166,7 +167,7 @@ def search_background(
         evidence = search.weigh()
     sets = search_sets(evidence, evidence.items)
     singles = [one for one in sets if len(one.items) == 1]
-    ended = [BackgroundSearch(search.joint, small, evidence, tuple(sets), (), search.shaped)]
+    ended = [BackgroundSearch(data, search.joint, small, evidence, tuple(sets), (), search.shaped)]
     freed = frozenset(search.shaped)
     for _ in range(_COMPARISONS - 1):
         if sets[0].effects == freed:
@@ -176,7 +177,7 @@ def search_background(
         evidence = search.weigh()
         sets = search_sets(evidence, evidence.items)
         ended.append(
-            BackgroundSearch(search.joint, small, evidence, tuple(sets), (), search.shaped)
+            BackgroundSearch(data, search.joint, small, evidence, tuple(sets), (), search.shaped)
         )
     if sets[0].effects != freed:  # they go to and fro: where least is left
         ended.sort(key=lambda one: -measure_left(data.task, one.joint))
@@ -197,9 +198,7 @@ def fit_beside_background(
     return free_causes(data.task, found.small, found.evidence, items), search.joint
 
 
-def _place(
-    task: EnsembleTask, at: Fits, items: Sequence[Item], sizes: Sequence[float]
-) -> Fits:
+def _place(task: EnsembleTask, at: Fits, items: Sequence[Item], sizes: Sequence[float]) -> Fits:
     """Return the fit `at` with the shapes of a set of causes placed and free."""
     c, extra = at.c.copy(), list(at.extra[0])
     start = 0
