@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from difffric.compute.precision import require_float64
-from difffric.diagnosis.background.evidence import Item
+from difffric.diagnosis.background.evidence import PossibleCause
 from difffric.diagnosis.background.free_curves import compare_with_curves
 from difffric.diagnosis.background.naming import (
     compare_rivals,
@@ -271,7 +271,11 @@ class _CauseSearch:
         self.total = max(self.lack.excess, *(one.best.drop for one in self.named), 1.0)
 
     def _add_cause(
-        self, found: BackgroundSearch, items: Sequence[Item], item: Item, p_value: float
+        self,
+        found: BackgroundSearch,
+        items: Sequence[PossibleCause],
+        item: PossibleCause,
+        p_value: float,
     ) -> None:
         """Add one of the causes `items`, unless the fit is as good without it."""
         task, whole = self.start.data.task, self.whole or self.base

@@ -14,6 +14,7 @@ class _JumpingModel:
 
     coordinates = SimpleNamespace(names=("mu_s", "x"), bounds=lambda name: (-np.inf, np.inf))
     edge = 0.9
+    directions = 8
 
     def __init__(self):
         self.calls = 0

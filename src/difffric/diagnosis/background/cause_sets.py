@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from difffric.diagnosis.background.evidence import Evidence, Item
+from difffric.diagnosis.background.evidence import Evidence, PossibleCause
 from difffric.rig.catalogue import numbers_of
 
 _IN_PAIRS = 40
@@ -29,7 +29,7 @@ _LIKE_ITSELF = (0.4, 2.5)
 class CauseSet:
     """One set of causes."""
 
-    items: tuple[Item, ...]
+    items: tuple[PossibleCause, ...]
     score: float
     """log posterior probability, but for a constant: that of no cause is 0"""
     sizes: tuple[float, ...]
@@ -43,7 +43,7 @@ class CauseSet:
         return frozenset(item.effect for item in self.items)
 
 
-def search_sets(evidence: Evidence, items: Sequence[Item]) -> list[CauseSet]:
+def search_sets(evidence: Evidence, items: Sequence[PossibleCause]) -> list[CauseSet]:
     """Return the sets of up to three of the items, and what was added to the best, the most
     probable first; that of no cause is among them."""
     found = [CauseSet((), 0.0, ())]
@@ -64,7 +64,9 @@ def search_sets(evidence: Evidence, items: Sequence[Item]) -> list[CauseSet]:
     return sorted(found, key=lambda one: -one.score)
 
 
-def replace_item(evidence: Evidence, items: Sequence[Item], gone: Item | None) -> list[CauseSet]:
+def replace_item(
+    evidence: Evidence, items: Sequence[PossibleCause], gone: PossibleCause | None
+) -> list[CauseSet]:
     """Return the sets in which every effect that is not among the `items` stands in the place of
     `gone`, or beside them all, the best first; each effect once."""
     rest = [item for item in items if item is not gone]
@@ -76,7 +78,7 @@ def replace_item(evidence: Evidence, items: Sequence[Item], gone: Item | None) -
     return list(best.values())
 
 
-def score_set(evidence: Evidence, items: Sequence[Item]) -> float:
+def score_set(evidence: Evidence, items: Sequence[PossibleCause]) -> float:
     """The score of one set."""
     if not items:
         return 0.0
@@ -84,12 +86,14 @@ def score_set(evidence: Evidence, items: Sequence[Item]) -> float:
     return float(found.gain[0]) - compute_price(evidence, items)
 
 
-def _combine(items: Sequence[Item], k: int) -> list[tuple[Item, ...]]:
+def _combine(items: Sequence[PossibleCause], k: int) -> list[tuple[PossibleCause, ...]]:
     """All sets of k items, no effect twice."""
     return [some for some in combinations(items, k) if len({item.effect for item in some}) == k]
 
 
-def _choose_leaders(singles: Sequence[CauseSet], items: Sequence[Item]) -> list[Item]:
+def _choose_leaders(
+    singles: Sequence[CauseSet], items: Sequence[PossibleCause]
+) -> list[PossibleCause]:
     """The items that are tried beside others, the best alone first; effects without a shape are
     all among them, as two of them may explain what neither does."""
     count: dict[str, int] = {}
@@ -101,17 +105,17 @@ def _choose_leaders(singles: Sequence[CauseSet], items: Sequence[Item]) -> list[
     return [*chosen, *(x for x in items if x.shape is None and x not in chosen)]
 
 
-def score_singles(evidence: Evidence, items: Iterable[Item]) -> list[CauseSet]:
+def score_singles(evidence: Evidence, items: Iterable[PossibleCause]) -> list[CauseSet]:
     """Score each of the items alone, the best first, whatever its size."""
     return _score(evidence, [(item,) for item in items], every=True)
 
 
 def _score(
-    evidence: Evidence, sets: Iterable[tuple[Item, ...]], every: bool = False
+    evidence: Evidence, sets: Iterable[tuple[PossibleCause, ...]], every: bool = False
 ) -> list[CauseSet]:
     """Score sets, the best first; unless `every` one is asked for, those are left out whose sizes
     make no sense."""
-    by_columns: dict[int, list[tuple[Item, ...]]] = {}
+    by_columns: dict[int, list[tuple[PossibleCause, ...]]] = {}
     for some in sets:
         by_columns.setdefault(sum(len(item.columns) for item in some), []).append(some)
     found = []
@@ -125,7 +129,7 @@ def _score(
     return sorted(found, key=lambda one: -one.score)
 
 
-def compute_price(evidence: Evidence, items: Sequence[Item]) -> float:
+def compute_price(evidence: Evidence, items: Sequence[PossibleCause]) -> float:
     """What a set must buy in log likelihood: Schwarz's price for its numbers, and as many times the
     logarithm of the number of effects as it has of them."""
     numbers = sum(len(numbers_of(item.effect)) for item in items)
@@ -133,7 +137,7 @@ def compute_price(evidence: Evidence, items: Sequence[Item]) -> float:
     return 0.5 * evidence.task.price * numbers + len(items) * each
 
 
-def _make_sense(evidence: Evidence, items: Sequence[Item], sizes: np.ndarray) -> bool:
+def _make_sense(evidence: Evidence, items: Sequence[PossibleCause], sizes: np.ndarray) -> bool:
     """Whether the sizes lie within the effects' bounds, and near the sizes that columns stand
     for."""
     coordinates, small = evidence.task.model.coordinates, evidence.small

@@ -34,11 +34,12 @@ _USUAL = 0.5
 _SCATTERS = np.array([0.5, 0.75, 1.0, 1.4, 2.0, 3.0])
 """Scatters of mu_s that are averaged over, as shares of the joint fit's."""
 _RIDGE = 1e-10
+"""What is added to a unit diagonal, so that sizes on which nothing depends have a solution."""
 _LARGEST = 2.0
 """How many times as large as one may meet a cause is, at one standard deviation."""
 
 
-class Item(NamedTuple):
+class PossibleCause(NamedTuple):
     """What may be a cause: an effect, of one shape."""
 
     effect: str
@@ -46,7 +47,7 @@ class Item(NamedTuple):
     shape: Shape | None = None
 
 
-class _State(NamedTuple):
+class _BackgroundState(NamedTuple):
     """All that a scatter of mu_s and a share of the background say of q effects' columns."""
 
     scatter: float
@@ -137,7 +138,7 @@ class Evidence:
         """How many effects are compared."""
         return len({item.effect for item in self.items})
 
-    def estimate_share(self, items: Sequence[Item] = ()) -> float:
+    def estimate_share(self, items: Sequence[PossibleCause] = ()) -> float:
         """The share of their units by which the effects scatter, where the `items` are causes."""
         shares = np.array([state.share for state in self._states])
         if items:
@@ -148,7 +149,7 @@ class Evidence:
 
     def _make_states(
         self, scatters: NDArray, shares: NDArray, causes: Sequence[int] = ()
-    ) -> list[_State]:
+    ) -> list[_BackgroundState]:
         P, out, causes = self._known, [], list(causes)
         for scatter in scatters:
             weight = scatter**2 / (1 + scatter**2 * self._z / self.excess) / self.excess
@@ -167,7 +168,11 @@ class Evidence:
             for share in shares:
                 if share == 0 and not causes:
                     cost = float(squares + volume)
-                    out.append(_State(float(scatter), 0.0, cost, squares, M, h, None, None, *plain))
+                    out.append(
+                        _BackgroundState(
+                            float(scatter), 0.0, cost, squares, M, h, None, None, *plain
+                        )
+                    )
                     continue
                 B = share * self._unit
                 B[causes] = _LARGEST * self._typical[causes]
@@ -176,7 +181,7 @@ class Evidence:
                 mean = -C @ (B * h)
                 left = squares + float(h @ (B * mean))
                 cost = float(left + volume + np.linalg.slogdet(Q)[1])
-                out.append(_State(scatter, share, cost, left, M, h, C, mean, *plain, B))
+                out.append(_BackgroundState(scatter, share, cost, left, M, h, C, mean, *plain, B))
         return out
 
     def compare(self, sets: Sequence[Sequence[int]]) -> SetFit:
@@ -218,7 +223,7 @@ class Evidence:
         )
 
     def weigh_curves(
-        self, items: Sequence[Item], curves: Sequence[NDArray], priors: Sequence[NDArray]
+        self, items: Sequence[PossibleCause], curves: Sequence[NDArray], priors: Sequence[NDArray]
     ) -> list[float]:
         """The log likelihoods beyond that of no cause at all, first with the `items` as causes,
         then with each of the `curves` besides: k columns (n, R, k), whose sizes are normal about
@@ -239,7 +244,7 @@ class Evidence:
 
     def _gain_curve(
         self,
-        state: _State,
+        state: _BackgroundState,
         cross: NDArray,
         gram: NDArray,
         own: NDArray,
@@ -265,7 +270,9 @@ class Evidence:
             out.append(float(q @ K @ np.linalg.solve(S, q) - np.linalg.slogdet(S)[1]))
         return out
 
-    def compute_log_p_values(self, items: Sequence[Item], least_share: float = 0.0) -> list[float]:
+    def compute_log_p_values(
+        self, items: Sequence[PossibleCause], least_share: float = 0.0
+    ) -> list[float]:
         """The logarithm of the probability, for each item of a set, that noise and background make
         it so large; the background scatters by `least_share` of its units at least."""
         found = self.compare([[c for item in items for c in item.columns]])
@@ -298,12 +305,12 @@ def _make_prior(background: bool) -> NDArray:
     return np.log(np.append(_NONE_AT_ALL, (1 - _NONE_AT_ALL) * density / density.sum()))
 
 
-def _list_items(small: SmallEffects, shapes: ShapeColumns | None) -> list[Item]:
-    items = [Item(effect, (k,)) for k, effect in enumerate(small.effects)]
+def _list_items(small: SmallEffects, shapes: ShapeColumns | None) -> list[PossibleCause]:
+    items = [PossibleCause(effect, (k,)) for k, effect in enumerate(small.effects)]
     if shapes is not None:
         p = len(items)
         for shape, columns in zip(shapes.shapes, shapes.columns, strict=True):
-            items.append(Item(shape.effect, tuple(p + c for c in columns), shape))
+            items.append(PossibleCause(shape.effect, tuple(p + c for c in columns), shape))
     return items
 
 

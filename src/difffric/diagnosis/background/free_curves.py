@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.diagnosis.background.cause_sets import SELDOM, score_set
-from difffric.diagnosis.background.evidence import Item
+from difffric.diagnosis.background.evidence import PossibleCause
 from difffric.diagnosis.background.search import BackgroundSearch
 from difffric.diagnosis.data import DiagnosisData
 from difffric.diagnosis.location import add_free_forms
@@ -54,7 +54,7 @@ class CurveComparison:
 
 
 def compare_with_curves(
-    data: DiagnosisData, search: BackgroundSearch, items: Sequence[Item]
+    data: DiagnosisData, search: BackgroundSearch, items: Sequence[PossibleCause]
 ) -> CurveComparison:
     """Compare the causes `items` with curves in place of them and beside them."""
     task, joint, evidence = data.task, search.joint, search.evidence

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.diagnosis.background.cause_sets import CauseSet, replace_item, score_set
-from difffric.diagnosis.background.evidence import Evidence, Item
+from difffric.diagnosis.background.evidence import Evidence, PossibleCause
 from difffric.diagnosis.background.search import BackgroundSearch, put_shape
 from difffric.diagnosis.conclusion import ALIKE
 from difffric.diagnosis.exploration import CandidateCause
@@ -32,7 +32,7 @@ _FEW_ROUNDS = 10
 
 def keep_significant(
     evidence: Evidence, best: CauseSet, significant: float
-) -> tuple[tuple[Item, ...], list[float]]:
+) -> tuple[tuple[PossibleCause, ...], list[float]]:
     """Return those causes of a set that noise and background hardly make so large, and the
     probabilities that they do; the least sure one is left out first."""
     items = list(best.items)
@@ -50,7 +50,7 @@ def keep_significant(
 
 
 def list_outstanding(
-    evidence: Evidence, items: Sequence[Item], significant: float
+    evidence: Evidence, items: Sequence[PossibleCause], significant: float
 ) -> frozenset[str]:
     """List those of the causes that are larger than a usual background would make them, too."""
     log = evidence.compute_log_p_values(items, USUAL_SHARE) if items else []
@@ -61,7 +61,7 @@ def list_outstanding(
     )
 
 
-def _count_looks(evidence: Evidence, item: Item) -> int:
+def _count_looks(evidence: Evidence, item: PossibleCause) -> int:
     """How many looks an effect's size was found by."""
     return evidence.effects * (1 if item.shape is None else _LOOKS)
 
@@ -70,7 +70,7 @@ def compare_rivals(
     task: EnsembleTask,
     base: Fits,
     search: BackgroundSearch,
-    items: Sequence[Item],
+    items: Sequence[PossibleCause],
     cause: CandidateCause,
 ) -> tuple[CandidateCause, ...]:
     """Return the cause, which is one of the `items` of the fit `base`, and all effects that could
@@ -106,7 +106,11 @@ def compare_rivals(
 
 
 def _put(
-    c: NDArray, task: EnsembleTask, search: BackgroundSearch, item: Item, sizes: Sequence[float]
+    c: NDArray,
+    task: EnsembleTask,
+    search: BackgroundSearch,
+    item: PossibleCause,
+    sizes: Sequence[float],
 ) -> None:
     """Put an effect of these sizes into coordinates c (1, K)."""
     index = task.model.coordinates.indices(numbers_of(item.effect))
@@ -119,7 +123,7 @@ def _put(
 
 
 def fit_causes(
-    task: EnsembleTask, plain: Fits, search: BackgroundSearch, items: Sequence[Item]
+    task: EnsembleTask, plain: Fits, search: BackgroundSearch, items: Sequence[PossibleCause]
 ) -> Fits:
     """Return the best fit with these causes and no background, begun from the plain fit and from
     the joint one (all ensembles of one)."""

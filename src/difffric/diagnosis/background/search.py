@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from difffric.diagnosis.background.cause_sets import CauseSet, score_singles, search_sets
-from difffric.diagnosis.background.evidence import Evidence, Item
+from difffric.diagnosis.background.evidence import Evidence, PossibleCause
 from difffric.diagnosis.background.joint_fit import WIDE, fit_jointly, measure_left
 from difffric.diagnosis.background.shape_columns import (
     compute_columns,
@@ -70,7 +70,7 @@ class BackgroundSearch:
 
 
 @dataclass
-class _Search:
+class _JointSearch:
     """The search, step by step."""
 
     data: DiagnosisData
@@ -128,7 +128,9 @@ class _Search:
         c[0, index] = self.joint.c[0, index]
         return replace(at, c=c, extra=self.joint.extra)
 
-    def free(self, evidence: Evidence, items: Sequence[Item], sizes: Sequence[float]) -> None:
+    def free(
+        self, evidence: Evidence, items: Sequence[PossibleCause], sizes: Sequence[float]
+    ) -> None:
         """Fit anew with a set of causes at any size."""
         start = _place(self.data.task, self.joint, items, sizes)
         shaped = tuple(item.effect for item in items if item.shape is not None)
@@ -142,7 +144,7 @@ class _Search:
 
 
 def free_causes(
-    task: EnsembleTask, small: SmallEffects, evidence: Evidence, items: Sequence[Item]
+    task: EnsembleTask, small: SmallEffects, evidence: Evidence, items: Sequence[PossibleCause]
 ) -> EnsembleTask:
     """Return the task of fits in which the `items` have any size, and the other small effects
     scatter as the evidence says."""
@@ -159,7 +161,7 @@ def search_background(
     exactly at its null."""
     small = choose_small_effects(data.task, plain, effects)
     joint = fit_jointly(data, small, plain, guess)
-    search = _Search(data, effects, background, small, plain, joint)
+    search = _JointSearch(data, effects, background, small, plain, joint)
     evidence = search.weigh()
     for _ in range(_MOST_SHAPED):
         if evidence.excess < MOST_EXCESS or not search.add_shape(evidence):
@@ -185,11 +187,11 @@ def search_background(
 
 
 def fit_beside_background(
-    data: DiagnosisData, found: BackgroundSearch, items: Sequence[Item]
+    data: DiagnosisData, found: BackgroundSearch, items: Sequence[PossibleCause]
 ) -> tuple[EnsembleTask, Fits]:
     """Return the fit with the `items` at any size and the other small effects beside them, and the
     task of it."""
-    search = _Search(data, (), True, found.small, found.joint, found.joint, found.shaped)
+    search = _JointSearch(data, (), True, found.small, found.joint, found.joint, found.shaped)
     kept = {item.effect for item in items}
     if kept != found.best.effects or any(x.shape and not x.shape.placed for x in items):
         columns = [c for item in items for c in item.columns]
@@ -198,7 +200,9 @@ def fit_beside_background(
     return free_causes(data.task, found.small, found.evidence, items), search.joint
 
 
-def _place(task: EnsembleTask, at: Fits, items: Sequence[Item], sizes: Sequence[float]) -> Fits:
+def _place(
+    task: EnsembleTask, at: Fits, items: Sequence[PossibleCause], sizes: Sequence[float]
+) -> Fits:
     """Return the fit `at` with the shapes of a set of causes placed and free."""
     c, extra = at.c.copy(), list(at.extra[0])
     start = 0
@@ -212,7 +216,7 @@ def _place(task: EnsembleTask, at: Fits, items: Sequence[Item], sizes: Sequence[
     return replace(at, c=c, extra=(tuple(extra),), gram=None, residual=None, damping=None)
 
 
-def put_shape(c: np.ndarray, item: Item, sizes: Sequence[float]) -> None:
+def put_shape(c: np.ndarray, item: PossibleCause, sizes: Sequence[float]) -> None:
     """Put a shape, its columns of these sizes, into coordinates c (1, K)."""
     assert item.shape is not None
     for point in item.shape.points:
