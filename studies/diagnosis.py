@@ -24,7 +24,7 @@ import numpy as np
 from studies import diagnosis_figures as figures
 from studies import runs
 from tests.hidden import case as cases
-from tests.hidden import random_case, strength, write
+from tests.hidden import random_case, strength, with_nuisances, write
 from tests.hidden.outsiders import TABLE as OUTSIDERS
 from tests.hidden.scaling import with_misfit
 from tests.reference.effect_parameters import NULLS
@@ -104,6 +104,17 @@ def _outsider(i, seed):
     return random_case(seed, _turn(tuple(OUTSIDERS), i), strength=40.0)
 
 
+def _background(i, seed, share=0.0035, change: float | None = None):
+    """An effect, or none, among small ones of every other."""
+    effect = None if change is None else _turn(IN_RECORDINGS, i)
+    for attempt in range(20):
+        with suppress(ValueError):
+            own = seed + 1_000_000 * attempt
+            case = random_case(own, effect, change=change)
+            return with_nuisances(case, np.random.default_rng([own, 5]), share)
+    raise ValueError(f"no rig shows {effect} so")
+
+
 GROUPS = {
     "clean": Group(1, 1000, lambda i, seed: random_case(seed)),
     "clean tables": Group(2, 1000, lambda i, seed: random_case(seed, kind=cases.TABLE)),
@@ -116,6 +127,11 @@ GROUPS = {
     "pairs": Group(9, 200, _pair),
     "outsiders": Group(10, 150, _outsider),
     "strong": Group(11, 60, _strong_misfit, 0.005),
+    "background": Group(12, 1000, _background, 0.005),
+    "background, 3 %": Group(13, 200, partial(_background, change=0.03), 0.005),
+    "background, 1 %": Group(14, 200, partial(_background, change=0.01), 0.005),
+    "three times, 3 %": Group(15, 200, partial(_background, share=0.0105, change=0.03), 0.005),
+    "s = 4": Group(16, 240, _strong(4.0)),
 }
 
 

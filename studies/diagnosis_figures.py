@@ -18,7 +18,10 @@ FEW = 7.0
 """s below which the predicted drop of chi-square is compared with the refit's."""
 SCANNED = ("stribeck", "friction_waviness", "friction_patch", "pusher_ripple", "force_saturation")
 """Effects that have no score test at their null."""
-ONE = ("s = 6", "s = 10", "s = 30", "typical", "tables", "with nuisances")
+ONE = (
+    "s = 4", "s = 6", "s = 10", "s = 30", "typical", "tables", "with nuisances", "background, 3 %",
+    "background, 1 %", "three times, 3 %",
+)  # fmt: skip
 """Groups in whose cases one effect is hidden."""
 BINS = (0.0, 0.5, 0.8, 0.95, 0.99, 1.0)
 """Of stated probabilities."""
@@ -256,7 +259,7 @@ def rows_of(group: str, lines: Sequence[dict]) -> list[tuple[str, str]]:
     good = answered(lines)
     own = {"pairs": pair_rows, "outsiders": outsider_rows, "strong": strong_rows}
     find = own.get(group, hidden_rows)
-    rows = (clean_rows if group.startswith("clean") else find)(good)
+    rows = (clean_rows if group.startswith("clean") or group == "background" else find)(good)
     broken = [line["case"] for line in lines if "error" in line]
     seconds = np.median([x["seconds"] for x in good]) if good else np.nan
     return [
