@@ -1,0 +1,91 @@
+"""Causes beside a background of small effects: what the closed form says of sets of causes is what
+the dense normal distribution says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from difffric.diagnosis.background import cause_sets, evidence
+from difffric.diagnosis.background.evidence import Evidence
+from difffric.diagnosis.background.small_effects import SmallEffects
+from difffric.estimation import ensemble_refits
+from tests.unit.diagnosis.linear_rig import make_task, start
+
+N, EFFECTS = 12, ("tilt", "force_gain", "force_offset", "probe_scale", "initial_gap")
+NAMES = tuple(f"{effect}.x" for effect in EFFECTS)
+
+
+def draw(cause: float, background: float = 0.0, seed: int = 0):
+    """A linear rig with one shared parameter, the effects' slopes, and the first effect's size."""
+    rng = np.random.default_rng(seed)
+    slopes = rng.normal(size=(N, 2, 2 + len(NAMES)))
+    sizes = background * rng.normal(size=len(NAMES))
+    sizes[0] = cause
+    measured = slopes[:, :, 2:] @ sizes + 0.5 * rng.normal(size=(N, 2))
+    return make_task(slopes, measured, ("k", *NAMES), shared=(1,)), slopes, measured
+
+
+def weigh(task, background: bool = True) -> Evidence:
+    """The comparison at the joint fit."""
+    K = 2 + len(NAMES)
+    ones = np.ones(len(NAMES))
+    small = SmallEffects(EFFECTS, tuple(range(2, K)), 0.3 * ones, 5 * ones, np.zeros(K))
+    at = ensemble_refits.refit(small.assume(task, 3.0), small.free(start(task, 0.3)), 10)
+    return Evidence(task, at, small, None, background)
+
+
+def compute_cost(slopes, measured, scatter: float, share: float, causes: list[int]) -> float:
+    """-2 log likelihood, but for a constant, by the dense covariance of all that was measured; the
+    mean mu_s and k are flat, and the causes at their best."""
+    V = np.eye(2 * N)
+    for i in range(N):
+        own = slopes[i, :, 0]
+        V[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += scatter**2 * np.outer(own, own)
+    A = slopes.reshape(2 * N, -1)
+    for k in range(len(NAMES)):
+        if k not in causes:
+            V += (0.3 * share) ** 2 * np.outer(A[:, 2 + k], A[:, 2 + k])
+    W = np.linalg.inv(V)
+    X, y = A[:, :2], measured.ravel()
+    columns = [0, 1, *(2 + k for k in causes)]
+    prior = np.diag([0.0, 0.0, *(10.0**-2 for _ in causes)])  # a cause is of a size one may meet
+    H = A[:, columns].T @ W @ A[:, columns] + prior
+    h = A[:, columns].T @ W @ y
+    left = y @ W @ y - h @ np.linalg.solve(H, h)
+    return float(left + np.linalg.slogdet(V)[1] + np.linalg.slogdet(X.T @ W @ X)[1])
+
+
+@pytest.mark.parametrize("causes", [[0], [3], [0, 2], [1, 2, 4]])
+def test_sets_compare_as_the_dense_normal_distribution_says(causes):
+    task, slopes, measured = draw(cause=1.0, background=0.1)
+    found = weigh(task)
+    assert found.excess == 1.0
+    scatter = found.at.scatter[0] * evidence._SCATTERS
+    shares, prior = np.append(0.0, evidence.SHARES), evidence._make_prior(True)
+
+    def average(causes: list[int]) -> float:
+        terms = [
+            p - 0.5 * compute_cost(slopes, measured, s, share, causes)
+            for s in scatter
+            for share, p in zip(shares, prior, strict=True)
+        ]
+        return float(np.logaddexp.reduce(terms))
+
+    assert found.compare([causes]).gain[0] == pytest.approx(average(causes) - average([]), abs=1e-5)
+
+
+def test_a_cause_stands_out_and_is_alone_in_the_best_set():
+    found = weigh(draw(cause=3.0, background=0.03)[0])
+    best = cause_sets.search_sets(found, found.items)[0]
+    assert best.effects == {"tilt"}
+    assert found.compute_log_p_values(best.items)[0] < np.log(1e-5)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_background_alone_has_no_cause(seed):
+    found = weigh(draw(cause=0.0, background=0.15, seed=seed)[0])
+    usual = found.compute_log_p_values(found.items[:1], least_share=0.7)
+    assert usual[0] > np.log(1e-3)
+    # A wider background never makes a cause surer.
+    assert usual[0] >= found.compute_log_p_values(found.items[:1])[0] - 1e-9
