@@ -27,6 +27,7 @@ from difffric.diagnosis.background.search import (
     fit_beside_background,
     search_background,
 )
+from difffric.diagnosis.combinations.cause_rounds import CauseRounds
 from difffric.diagnosis.combinations.explanation import explain_table
 from difffric.diagnosis.conclusion import SIGNIFICANT, Findings, NamedCause, conclude
 from difffric.diagnosis.cross_validation import CrossValidation, assign_folds
@@ -97,7 +98,7 @@ def diagnose(
 
 
 @dataclass
-class _CauseSearch:
+class _CauseSearch(CauseRounds):
     """The search for causes, round by round."""
 
     setup: Setup
@@ -160,8 +161,10 @@ class _CauseSearch:
             self._add_combination()
         elif task.n < _FEWEST:
             self.notes = (f"{task.n} pushes: too few to hold any out: no cause is looked for",)
-        else:
+        elif task.model.recordings:
             self._add_standing()
+        else:
+            self.add_one_by_one()
         certificates = find_unreachable(data.measured, self.setup.rig)
         if certificates and not self.named:
             # The plain model is wrong for certain: what may mend it is in question.
