@@ -25,10 +25,8 @@ _RATIO_TYPICAL = 0.1
 size."""
 _LARGEST = 2.0
 """Times a size that one may meet: the largest unit, of an effect that changes neither F_p nor d."""
-_LIKE_FRICTION = ("tilt", RATIO)
 _FARTHEST = 2.0
-"""Effects that mu_s makes up for at any size, so that a misfit may drive them far off, and the
-largest size that they may have, in sizes that one may meet."""
+"""Times a size that one may meet, beyond which an effect is not small."""
 _STEP = 0.1
 """Share of such a size by which an effect is moved to see what it changes."""
 _NONE_AT_NULL = tuple(name for name, (_, key) in KEYS.items() if key.inverse)
@@ -62,8 +60,7 @@ class SmallEffects:
         index = np.array(self.index, int)[free]
         prior, reach = np.zeros(len(self.null)), np.full(len(self.null), np.inf)
         prior[index] = (share * self.unit[free]) ** -2.0
-        held = [k for k in free if self.effects[k] in _LIKE_FRICTION]
-        reach[np.array(self.index, int)[held]] = _FARTHEST * self.typical[held]
+        reach[index] = _FARTHEST * self.typical[free]
         return replace(task, prior=prior, prior_about=self.null, reach=reach)
 
     def free(self, fits: Fits) -> Fits:
