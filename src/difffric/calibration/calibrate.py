@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.calibration.free_parameters import (
-    USUAL_SCATTER,
+    choose_first_scatter,
     choose_free,
     collect_given,
     has_gauge,
@@ -28,7 +28,7 @@ from difffric.measurements.latched_distances import describe_latch
 from difffric.measurements.pusher_tracking import describe_tracking
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
-from difffric.measurements.reduction.reduce import reduce_recordings
+from difffric.measurements.reduction.reduce import Reduction, reduce_recordings
 from difffric.progress import Tell, silent
 from difffric.rig.rig import Rig
 from difffric.rig.setup import Setup, check_rig
@@ -116,6 +116,20 @@ def fit(
     return build_fit(setup, pushes, reduction, state, reached, task.notes)
 
 
+def refine_fit(setup: Setup, reduction: Reduction, worth: float = 0.0) -> Fit:
+    """Fit recordings whose `reduction` is known, as `fit` does by default, from a set-up that is
+    near the optimum already; a step that gains less than is `worth` it in chi-square is the last.
+
+    Raises `NumericalError` where the misfit at the set-up is not finite.
+    """
+    wishes = _Wishes(None, ("mu_s",), False, False, False, False, None)
+    task = _arrange(setup, reduction.pushes, wishes)
+    task.notes.extend(describe_tracking(reduction.recordings, setup.rig.pusher.stroke))
+    task.notes.extend(describe_latch(reduction))
+    search = RecordingSearch(task.model, reduction, task.starts, silent, thorough=False, near=worth)
+    return build_fit(setup, reduction.pushes, reduction, *search.run(), task.notes)
+
+
 @dataclass(frozen=True)
 class _Wishes:
     """What a call of `fit` asks for, beside the rig and the data."""
@@ -158,7 +172,7 @@ def _arrange(setup: Setup, pushes: Pushes, wishes: _Wishes) -> _Arrangement:
         bounds,
         errors if wishes.priors else {},
     )
-    scatter, estimate = _first_scatter(setup, len(pushes), arranged.names, notes)
+    scatter, estimate = choose_first_scatter(setup, len(pushes), arranged.names, notes)
     model = Model(
         rig=setup.rig,
         integrator=wishes.integrator,
@@ -169,29 +183,6 @@ def _arrange(setup: Setup, pushes: Pushes, wishes: _Wishes) -> _Arrangement:
         robust=wishes.robust,
     )
     return _Arrangement(model, make_starts(arranged, wishes.several_starts), notes)
-
-
-def _first_scatter(
-    setup: Setup, pushes: int, names: Sequence[str], notes: list[str]
-) -> tuple[float, bool]:
-    """The scatter of mu_s where it starts or stands, and whether it is to be estimated.
-
-    `names` has the parameter behind each free column. Too few pushes add a line to `notes`.
-    """
-    said = setup.mu_s_scatter
-    extras = setup.extras.get("friction.mu_s_scatter")
-    columns = sum(name == "mu_s" for name in names)
-    if columns == 0:
-        return 0.0, False
-    if extras is not None and extras.free is False:
-        return said or 0.0, False
-    if pushes < columns + 2:
-        notes.append(
-            "too few pushes to estimate the scatter of mu_s: "
-            + (f"the set-up's {said:g} is taken" if said else "none is assumed")
-        )
-        return said or 0.0, False
-    return said or USUAL_SCATTER, True
 
 
 def _fit_table(task: _Arrangement, pushes: Pushes, tell: Tell) -> tuple[FitState, tuple[int, int]]:

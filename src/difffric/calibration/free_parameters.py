@@ -61,3 +61,26 @@ def collect_given(pushes: Pushes, free: Sequence[str]) -> dict[str, NDArray]:
     if has_gauge(pushes) and "mu_s" not in free:
         given["mu_s"] = pushes.mu_s_gauge
     return given
+
+
+def choose_first_scatter(
+    setup: Setup, pushes: int, names: Sequence[str], notes: list[str]
+) -> tuple[float, bool]:
+    """The scatter of mu_s where it starts or stands, and whether it is to be estimated.
+
+    `names` has the parameter behind each free column. Too few pushes add a line to `notes`.
+    """
+    said = setup.mu_s_scatter
+    extras = setup.extras.get("friction.mu_s_scatter")
+    columns = sum(name == "mu_s" for name in names)
+    if columns == 0:
+        return 0.0, False
+    if extras is not None and extras.free is False:
+        return said or 0.0, False
+    if pushes < columns + 2:
+        notes.append(
+            "too few pushes to estimate the scatter of mu_s: "
+            + (f"the set-up's {said:g} is taken" if said else "none is assumed")
+        )
+        return said or 0.0, False
+    return said or USUAL_SCATTER, True

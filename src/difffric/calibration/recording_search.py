@@ -65,6 +65,9 @@ class RecordingSearch:
     """is called with the progress"""
     thorough: bool = True
     """whether further starts are followed where the fit is poor"""
+    near: float | None = None
+    """what a step has to gain in chi-square, where the first of the starts is near the optimum: it
+    is then the only one; None: it is not known to be"""
 
     def run(self) -> tuple[FitState, tuple[int, int]]:
         """The best fit, and how many of the starts that were followed lead to it.
@@ -97,7 +100,8 @@ class RecordingSearch:
 
         A search begins when the starts of the one before it are used up.
         """
-        for search in (self._start_from_forces, self._start_from_table):
+        searches = (self._start_from_forces, self._start_from_table)
+        for search in searches if self.near is None else ():
             try:
                 starts = search()
             except (InputError, NumericalError):
@@ -158,7 +162,7 @@ class RecordingSearch:
             jumps,
             _GUARD if self.model.free_start else 0.0,
         )
-        return replace(self.model, rig=rig), data
+        return replace(self.model, rig=rig), replace(data, worth=self.near or 0.0)
 
     def _follow(self, start: Settled | None) -> FitState:
         """Fit the samples, leaving out those beside the jumps of the model as it stands."""
@@ -169,15 +173,18 @@ class RecordingSearch:
         at = first_point(model, data, theta)
         if start is not None:
             at = replace(at, s_eta=start.s_eta)
-        if any(abs(x.correlation) > _COLOURED for x in self._channel_noise()):
+        coloured = any(abs(x.correlation) > _COLOURED for x in self._channel_noise())
+        if coloured and self.near is None:
             rough = settle(model, as_if_white(data), at, trust=_TRUST, rounds=_LAST_ROUNDS)
             at = replace(first_point(model, data, rough.theta), s_eta=rough.s_eta)
-        at = settle(model, data, at, trust=_TRUST)
         rounds, elsewhere = ROUNDS, [self._find_branches, spread_push_friction]
+        if self.near is not None:
+            rounds, elsewhere = 2 * _LAST_ROUNDS, []
+        at = settle(model, data, at, trust=_TRUST, rounds=rounds)
         while rounds > _LAST_ROUNDS:
             jumps = np.asarray(at.end.jumps)[: data.n]
             model, data = self._stack_samples(jumps, stiffest)
-            rounds = rounds // 2
+            rounds //= 2
             at = settle(model, data, at, trust=_TRUST, rounds=rounds)
             while elsewhere and (poor := _misfit_of_pushes(data, at) > _POOR).any():
                 other = rescan_push_friction(model, data, at, elsewhere.pop(0)(at), poor)

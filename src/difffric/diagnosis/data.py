@@ -1,4 +1,4 @@
-"""Pushes pushes as a diagnosis takes them, beside the plain fit from which it starts."""
+"""The pushes as a diagnosis takes them, and the plain rig from which it starts."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.calibration.result import Fit
 from difffric.estimation.block_means import stack_uneven
 from difffric.estimation.effect_coordinates import PLAIN, Coordinates
 from difffric.estimation.ensemble import EnsembleTask, Fits
@@ -222,26 +221,32 @@ def _estimate_scales(rig: Rig, measured: Pushes, strokes: NDArray, mass: NDArray
     )
 
 
-def join_plain_fit(data: DiagnosisData, fit: Fit) -> tuple[DiagnosisData, Fits]:
-    """Return the data with what was free in a plain fit of them, and where that fit ended, as an
-    ensemble of one."""
+def free_plain(
+    data: DiagnosisData, names: Sequence[str], estimates_scatter: bool
+) -> DiagnosisData:
+    """Return the data with the parameters `names` of the plain rig free."""
     task = data.task
     coordinates = task.model.coordinates
-    shared = [name for name in dict.fromkeys(fit.names) if name in PLAIN and name != "mu_s"]
+    shared = [name for name in dict.fromkeys(names) if name in PLAIN and name != "mu_s"]
     task = replace(
         task,
         shared=tuple(coordinates.index(name) for name in shared),
-        mu_free="mu_s" in fit.names,
-        estimate_scatter=fit.estimates_scatter,
+        mu_free="mu_s" in names,
+        estimate_scatter=estimates_scatter,
     )
     looked_for = tuple(
         e for e in data.looked_for if not (e == RATIO and numbers_of(e)[0] in shared)
     )
+    return replace(data, task=task, looked_for=looked_for)
+
+
+def place_at(task: EnsembleTask, rig: Rig, mu_s: NDArray, scatter: float) -> Fits:
+    """Return a plain rig, with the mu_s (n,) of its pushes, as an ensemble of one."""
+    coordinates = task.model.coordinates
     c = np.zeros((1, len(coordinates.names)))
-    values = parameters.values(fit.rig)
+    values = parameters.values(rig)
     c[0, coordinates.indices(PLAIN)] = coordinates.point({n: float(values[n]) for n in PLAIN})
-    log_mu = np.log(fit.mu_s)
+    log_mu = np.log(mu_s)
     mu = np.array([[log_mu[task.condition == k].mean() for k in range(task.conditions)]])
     own = (log_mu - mu[0, task.condition])[None]
-    fits = Fits(((),), c, mu, own, np.array([max(fit.scatter, _LEAST_SCATTER)]), np.ones((1, 2)))
-    return replace(data, task=task, looked_for=looked_for), fits
+    return Fits(((),), c, mu, own, np.array([max(scatter, _LEAST_SCATTER)]), np.ones((1, 2)))

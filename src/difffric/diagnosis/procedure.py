@@ -35,7 +35,12 @@ from difffric.diagnosis.exploration import CandidateCause, explore, is_promising
 from difffric.diagnosis.impossible_measurements import find_unreachable
 from difffric.diagnosis.lack_of_fit import LackOfFit, is_misfit_large, measure_lack_of_fit
 from difffric.diagnosis.score_test import Score, compute_p_value, run_score_tests
-from difffric.diagnosis.start import SearchStart, fit_plain_model, prepare_start
+from difffric.diagnosis.start import (
+    SearchStart,
+    calibrate_plain,
+    fit_plain_model,
+    prepare_start,
+)
 from difffric.diagnosis.verdict import Diagnosis, measure_changes
 from difffric.errors import InputError, NumericalError
 from difffric.estimation import ensemble, ensemble_refits
@@ -177,7 +182,7 @@ class _CauseSearch(CauseRounds):
         return Findings(
             setup=self.setup,
             data=data,
-            fit=self.start.fit,
+            fit=calibrate_plain(self.start, self.plain),
             validation=self.validation,
             plain=self.plain,
             whole=self.whole or self.base,

@@ -7,26 +7,28 @@ a leading effect has led.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from threading import Thread
 
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.calibration.calibrate import Fit, fit
+from difffric.calibration.calibrate import Fit, fit, refine_fit
+from difffric.calibration.free_parameters import choose_first_scatter, choose_free
+from difffric.diagnosis.background.growing_horizon import start_plain_fit
 from difffric.diagnosis.data import (
     DiagnosisData,
     follow_in_columns,
-    join_plain_fit,
+    free_plain,
+    place_at,
     prepare_data,
 )
 from difffric.diagnosis.exploration import CandidateCause
-from difffric.diagnosis.extended_setup import strip_effects
+from difffric.diagnosis.extended_setup import extend_rig, strip_effects
 from difffric.diagnosis.impossible_measurements import find_unreachable
-from difffric.diagnosis.lack_of_fit import is_misfit_large
+from difffric.diagnosis.lack_of_fit import is_misfit_large, measure_lack_of_fit
 from difffric.estimation import ensemble, ensemble_refits
-from difffric.estimation.effect_coordinates import PLAIN
 from difffric.estimation.ensemble import EnsembleTask, Fits
 from difffric.estimation.stacked_data import TABLE
 from difffric.measurements.checks import check_data
@@ -44,6 +46,8 @@ _SLIDE_READ = 1e-3
 mu_s scatters counts as scatter, and nothing as noise."""
 _ROUNDS = 20
 """Steps at most of each fit of the plain model."""
+_WORTH = 1e-3
+"""The share of a misfit that a step of the plain calibration has to explain."""
 _SIZES = (0.3, 0.6, 0.85, 1.18, 1.7, 3.0)
 """Shares of an effect's size from which a model that has not arrived is fitted anew."""
 _FIRST_ROUNDS, _LAST_ROUNDS, _FINALISTS = 4, 30, 3
@@ -59,8 +63,10 @@ class SearchStart:
     """What a search starts from."""
 
     data: DiagnosisData
-    fit: Fit
-    """of the plain set-up"""
+    own: Setup
+    """the plain set-up as it was given"""
+    fit: Fit | None
+    """of a table or of free slides with it; None: of recordings"""
     known: tuple[str, ...]
     """numbers of the effects that the set-up has already"""
     at: Fits
@@ -101,25 +107,59 @@ def prepare_start(
     data = follow_in_columns(data) if combined else data
     compiling = Thread(target=(lambda: None) if combined else data.task.model.compile)
     compiling.start()
+    fitted = None
     try:
-        # One start will do: where the fit is poor, the search begins with more of its own.
-        fitted = fit(
-            own,
-            checked,
-            thorough=False,
-            use_data_mass=use_data_mass,
-            skip_bad=skip_bad,
-            tell=lambda what, share: tell(what, 0.25 * share),
-        )
+        if reduction is None:
+            # One start will do: where the fit is poor, the search begins with more of its own.
+            fitted = fit(
+                own,
+                checked,
+                thorough=False,
+                use_data_mass=use_data_mass,
+                skip_bad=skip_bad,
+                tell=lambda what, share: tell(what, 0.25 * share),
+            )
     finally:
         compiling.join()
-    data, start = join_plain_fit(data, fitted)
-    coordinates = data.task.model.coordinates
+    names = choose_free(own, measured, None)
+    scatter, is_estimated = choose_first_scatter(own, len(measured), names, [])
+    data = free_plain(data, names, is_estimated)
+    mu_s = np.full(len(measured), float(parameters.values(plain)["mu_s"]))
+    mu_s = mu_s if data.task.mu_free else measured.mu_s_gauge
+    guess = _add_known(data.task, place_at(data.task, plain, mu_s, scatter), known)
+    if fitted is None:
+        tell("fitting the plain rig", 0.1)
+        at = start_plain_fit(data, guess)
+    else:
+        at = place_at(data.task, fitted.rig, fitted.mu_s, fitted.scatter)
+        at = _add_known(data.task, at, known)
+        guess = replace(guess, scatter=at.scatter)
+    return SearchStart(data, own, fitted, tuple(known), at, guess)
+
+
+def _add_known(task: EnsembleTask, fits: Fits, known: Mapping[str, float]) -> Fits:
+    """Return the fits (an ensemble of one) with the numbers of the effects that are known free."""
+    coordinates = task.model.coordinates
     extra = coordinates.indices(tuple(known))
-    c = start.c.copy()
+    c = fits.c.copy()
     c[0, extra] = coordinates.point(known)
-    at = replace(start, c=c, extra=(tuple(extra),))
-    return SearchStart(data, fitted, tuple(known), at, _place_at_setup(data.task, at, plain))
+    return replace(fits, c=c, extra=(tuple(extra),))
+
+
+def calibrate_plain(start: SearchStart, plain: Fits) -> Fit:
+    """Return the calibration of the plain set-up, as `calibration` has it; of recordings it begins
+    at the plain fit `plain` (an ensemble of one), and is no finer than its misfit is worth.
+
+    Raises `NumericalError` where its misfit is not finite.
+    """
+    if start.fit is not None or start.data.reduction is None:
+        assert start.fit is not None
+        return start.fit
+    task, own = start.data.task, start.own
+    bare = replace(plain, extra=((),))
+    near = replace(own, rig=extend_rig(own.rig, task, bare))
+    worth = _WORTH * max(measure_lack_of_fit(task, plain).excess, 0.0)
+    return refine_fit(near, start.data.reduction, worth)
 
 
 def is_out_of_reach(data: DiagnosisData) -> bool:
@@ -128,18 +168,6 @@ def is_out_of_reach(data: DiagnosisData) -> bool:
     if data.task.model.kind != TABLE or not np.isfinite(data.measured.mu_s_gauge).all():
         return False
     return bool(find_unreachable(data.measured, data.task.model.plain))
-
-
-def _place_at_setup(task: EnsembleTask, fits: Fits, plain: Rig) -> Fits:
-    """Return the fits (an ensemble of one) at the plain rig's own numbers; where mu_s is free, it
-    is the rig's in every push."""
-    coordinates, values = task.model.coordinates, parameters.values(plain)
-    c = fits.c.copy()
-    c[0, coordinates.indices(PLAIN)] = coordinates.point({n: float(values[n]) for n in PLAIN})
-    if not task.mu_free:
-        return replace(fits, c=c)
-    mu = np.full_like(fits.mu, np.log(float(values["mu_s"])))
-    return replace(fits, c=c, mu=mu, own=np.zeros_like(fits.own))
 
 
 def _collect_errors(rig: Rig, measured: Pushes) -> NDArray:

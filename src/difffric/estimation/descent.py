@@ -203,7 +203,7 @@ def _search_near(model: Model, data: FitData, problem: Problem, start: FitPoint,
     if goes_in_columns(model, data):
         pushes, moving = pytrees.pick(data.pushes, slice(data.n)), _list_moving(model)
         directions = len(moving)
-        worth = 0.0 if data.kind == RECORDINGS else _WORTH
+        worth = data.worth if data.kind == RECORDINGS else _WORTH
         end = minimise_stepwise(
             problem, start, steps, lambda c: respond_in_columns(model.rig, pushes, c, moving), worth
         )

@@ -61,6 +61,8 @@ class FitData:
     left_out: int = 0
     in_few_steps: bool = False
     """whether a table is searched in so few steps that compiling a program takes longer"""
+    worth: float = 0.0
+    """what a step of a fit of recordings has to gain in chi-square"""
     start_bounds: tuple[NDArray, NDArray] | None = None
     """(n,) between which a push's own start offset lies, in coordinates: within what its recording
     holds; None: of a table"""

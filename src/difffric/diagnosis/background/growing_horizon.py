@@ -1,0 +1,113 @@
+"""Fits of recordings from afar: first the samples up to the first contact, at last all of them.
+
+What a push does late depends on all that it did before. Fitted all at once from afar, pushes that
+are caught again and again lead nowhere; the first contact alone is smooth in every parameter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.diagnosis.data import DiagnosisData
+from difffric.diagnosis.starting_values import find_contact_time
+from difffric.estimation import ensemble, ensemble_refits
+from difffric.estimation.block_means import UnevenBlocks
+from difffric.estimation.ensemble import EnsembleTask, Fits
+
+_HORIZONS = (1.5, 4.0)
+"""The first horizons, in times for which the part and the tip touch."""
+_AT_EACH_HORIZON = 8
+"""Steps at most at each horizon."""
+_FIRST_SCATTER = 0.03
+"""Relative scatter of mu_s from which a fit begins at the set-up's numbers."""
+_STIFFNESSES = np.array([0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8])
+"""Shares of the set-up's stiffness from which a plain fit may begin: as rough as a guess may be."""
+_OWN = np.linspace(-0.5, 0.5, 11)
+"""Log mu_s of each push beyond the set-up's that are tried with each of them."""
+_FOLLOWED = 2
+"""How many of these starts are followed."""
+
+
+def start_plain_fit(data: DiagnosisData, guess: Fits) -> Fits:
+    """Return the plain fit of recordings to which a rough set-up leads, `guess` (an ensemble of
+    one): from the stiffness, and each push's mu_s, that suit the first contact best."""
+    task = data.task
+    first, *later = _list_horizons(data)
+    stiffness = task.model.coordinates.index("k_N_per_m")
+    some = cut_at(task, first)
+    shares = _STIFFNESSES if stiffness in task.shared else np.ones(1)
+    starts = ensemble.join(*[_begin_anew(guess)] * len(shares))
+    c = starts.c.copy()
+    c[:, stiffness] += np.log(shares)
+    starts = replace(starts, c=c)
+    if task.mu_free:
+        starts = _look_for_own(some, starts)
+    at = ensemble_refits.refit(some, starts, 1)
+    best = np.argsort(ensemble.criterion(some, at))[:_FOLLOWED]
+    at = ensemble_refits.refit(some, at.pick(best), _AT_EACH_HORIZON)
+    for horizon in later:
+        best = np.argmin(ensemble.criterion(some, at))
+        some = cut_at(task, horizon)
+        at = ensemble_refits.refit(some, forget_answers(at.pick(best)), _AT_EACH_HORIZON)
+    return forget_answers(at)
+
+
+def _look_for_own(task: EnsembleTask, fits: Fits) -> Fits:
+    """Return the fits with each push's mu_s where it suits the samples best, on a grid."""
+    j, i = (x.ravel() for x in np.indices((fits.m, task.n)))
+    mu = fits.mu[j, task.condition[i]]
+    tried = np.tile(_OWN, (len(j), 1))
+    squares = ensemble_refits.sum_squares_at(task, fits, j, i, fits.c[j], mu, tried)
+    log_mu = mu + _OWN[np.argmin(squares, axis=1)]
+    log_mu = log_mu.reshape(fits.m, task.n)
+    of_each = [task.condition == k for k in range(task.conditions)]
+    level = np.stack([np.median(log_mu[:, mine], axis=1) for mine in of_each], axis=1)
+    return replace(fits, mu=level, own=log_mu - level[:, task.condition])
+
+
+def fit_with_growing_horizon(data: DiagnosisData, task: EnsembleTask, at: Fits) -> Fits:
+    """Return where the fits `at` lead, horizon by horizon; `task` is that of the data, with what is
+    assumed besides."""
+    at = _begin_anew(at)
+    for horizon in _list_horizons(data):
+        at = ensemble_refits.refit(cut_at(task, horizon), forget_answers(at), _AT_EACH_HORIZON)
+    return forget_answers(at)
+
+
+def _begin_anew(at: Fits) -> Fits:
+    """The fits without answers, with a scatter of mu_s at which pushes may still differ."""
+    return forget_answers(replace(at, scatter=np.maximum(at.scatter, _FIRST_SCATTER)))
+
+
+def forget_answers(fits: Fits) -> Fits:
+    """The fits without their answers."""
+    return replace(fits, gram=None, residual=None, damping=None)
+
+
+def _list_horizons(data: DiagnosisData) -> Iterator[NDArray]:
+    """Yield the horizons (n,) of the pushes [s]: a little after the first contact, some later, and
+    the release."""
+    assert data.reduction is not None
+    contact = find_contact_time(data.scales)
+    for times in _HORIZONS:
+        yield np.full(data.task.n, times * contact)
+    released = np.array([one.release_time for one in data.reduction.details])
+    yield np.where(np.isfinite(released), released, np.inf)
+
+
+def cut_at(task: EnsembleTask, horizon: NDArray) -> EnsembleTask:
+    """The task with the samples of each push up to its horizon (n,) [s] alone."""
+
+    def cut(blocks: UnevenBlocks) -> UnevenBlocks:
+        first, second = (np.take_along_axis(blocks.t, x, 1) for x in blocks[1:3])
+        keep = 0.5 * (first + second) < horizon[:, None]
+        return blocks._replace(a=np.where(keep, blocks.a, 0.0), b=np.where(keep, blocks.b, 0.0))
+
+    both = tuple(cut(blocks) for blocks in task.model.pushes.data)
+    counts = np.stack([(blocks.a > 0).sum(axis=1) for blocks in both], axis=1).astype(float)
+    model = replace(task.model, pushes=task.model.pushes._replace(data=both))
+    return replace(task, model=model, counts=counts)
