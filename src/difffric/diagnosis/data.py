@@ -221,9 +221,7 @@ def _estimate_scales(rig: Rig, measured: Pushes, strokes: NDArray, mass: NDArray
     )
 
 
-def free_plain(
-    data: DiagnosisData, names: Sequence[str], estimates_scatter: bool
-) -> DiagnosisData:
+def free_plain(data: DiagnosisData, names: Sequence[str], estimates_scatter: bool) -> DiagnosisData:
     """Return the data with the parameters `names` of the plain rig free."""
     task = data.task
     coordinates = task.model.coordinates

@@ -65,7 +65,7 @@ _ROUNDS = 40
 _BACKGROUND = 0.05
 """Share of their units by which small effects scatter, from which something outside the catalogue
 may pass for them."""
-_ROUNDS_WITHOUT = 15
+_ROUNDS_WITHOUT = 6
 """The same of a refit that leaves a cause out again, which begins near its end."""
 
 

@@ -15,7 +15,7 @@ from difffric.estimation.ensemble import EnsembleTask, Fits
 _ASTRAY = 3.0
 """Times what a push's squares are where it is fitted, or would be: a prediction beyond is no mere
 lack of data."""
-_ANEW = 10
+_ANEW = 5
 """Rounds of a fit that is made anew for a push that is held out."""
 _JUMP = 3.0
 """Standard deviations of chi-square beyond the fit's, from which a prediction may be on another

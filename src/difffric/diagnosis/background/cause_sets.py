@@ -123,7 +123,7 @@ def _score(
         fit = evidence.compare([[c for item in some for c in item.columns] for some in same])
         sizes = np.einsum("sn,snk->nk", fit.weight, fit.size)
         for some, gain, size in zip(same, fit.gain, sizes, strict=True):
-            if every or _make_sense(evidence, some, size):
+            if every or makes_sense(evidence, some, size):
                 price = compute_price(evidence, some)
                 found.append(CauseSet(some, float(gain) - price, tuple(size.tolist()), price))
     return sorted(found, key=lambda one: -one.score)
@@ -137,7 +137,7 @@ def compute_price(evidence: Evidence, items: Sequence[PossibleCause]) -> float:
     return 0.5 * evidence.task.price * numbers + len(items) * each
 
 
-def _make_sense(evidence: Evidence, items: Sequence[PossibleCause], sizes: np.ndarray) -> bool:
+def makes_sense(evidence: Evidence, items: Sequence[PossibleCause], sizes: np.ndarray) -> bool:
     """Whether the sizes lie within the effects' bounds, and near the sizes that columns stand
     for."""
     coordinates, small = evidence.task.model.coordinates, evidence.small

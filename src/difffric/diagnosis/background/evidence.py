@@ -222,6 +222,22 @@ class Evidence:
             background=np.array(variances),
         )
 
+    def project_out_small(self) -> tuple[NDArray, NDArray, int]:
+        """The information (C, C) on the columns of shapes and their products with the residuals
+        (C,), the plain parameters free and all else with a background of unit size, and the number
+        of the first of these columns."""
+        (state,) = self._make_states(self._scatters[[self._find_likeliest()]], np.array([1.0]))
+        p = len(self.small.index)
+        known = state.M[:p, :p] + np.diag(self._unit[:p] ** -2.0)
+        cross = np.linalg.solve(known, state.M[:p, p:])
+        M = state.M[p:, p:] - state.M[p:, :p] @ cross
+        return M * self.excess, (state.h[p:] - state.h[:p] @ cross) * self.excess, p
+
+    def _find_likeliest(self) -> int:
+        """The number of the scatter that is the most likely."""
+        costs = np.array([state.cost for state in self._states]) - 2 * self._log_prior
+        return int(np.argmin(costs)) // len(self._shares)
+
     def weigh_curves(
         self, items: Sequence[PossibleCause], curves: Sequence[NDArray], priors: Sequence[NDArray]
     ) -> list[float]:

@@ -6,12 +6,13 @@ are caught again and again lead nowhere; the first contact alone is smooth in ev
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from difffric.diagnosis.background.size_scan import place_cutting_effects
 from difffric.diagnosis.data import DiagnosisData
 from difffric.diagnosis.starting_values import find_contact_time
 from difffric.estimation import ensemble, ensemble_refits
@@ -20,8 +21,8 @@ from difffric.estimation.ensemble import EnsembleTask, Fits
 
 _HORIZONS = (1.5, 4.0)
 """The first horizons, in times for which the part and the tip touch."""
-_AT_EACH_HORIZON = 8
-"""Steps at most at each horizon."""
+_AT_EACH_HORIZON, _WORTH = 8, 10.0
+"""Steps at most at each horizon, and what one has to gain in chi-square."""
 _FIRST_SCATTER = 0.03
 """Relative scatter of mu_s from which a fit begins at the set-up's numbers."""
 _STIFFNESSES = np.array([0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8])
@@ -48,11 +49,13 @@ def start_plain_fit(data: DiagnosisData, guess: Fits) -> Fits:
         starts = _look_for_own(some, starts)
     at = ensemble_refits.refit(some, starts, 1)
     best = np.argsort(ensemble.criterion(some, at))[:_FOLLOWED]
-    at = ensemble_refits.refit(some, at.pick(best), _AT_EACH_HORIZON)
+    at = ensemble_refits.refit(some, at.pick(best), _AT_EACH_HORIZON, tol=_WORTH)
     for horizon in later:
         best = np.argmin(ensemble.criterion(some, at))
         some = cut_at(task, horizon)
-        at = ensemble_refits.refit(some, forget_answers(at.pick(best)), _AT_EACH_HORIZON)
+        at = ensemble_refits.refit(
+            some, forget_answers(at.pick(best)), _AT_EACH_HORIZON, tol=_WORTH
+        )
     return forget_answers(at)
 
 
@@ -69,13 +72,23 @@ def _look_for_own(task: EnsembleTask, fits: Fits) -> Fits:
     return replace(fits, mu=level, own=log_mu - level[:, task.condition])
 
 
-def fit_with_growing_horizon(data: DiagnosisData, task: EnsembleTask, at: Fits) -> Fits:
-    """Return where the fits `at` lead, horizon by horizon; `task` is that of the data, with what is
-    assumed besides."""
+def fit_with_growing_horizon(
+    data: DiagnosisData, task: EnsembleTask, at: Fits, effects: Sequence[str]
+) -> tuple[Fits, tuple[str, ...]]:
+    """Return where the fit `at` (an ensemble of one) leads, horizon by horizon, and those of the
+    `effects` that cut pushes short and were found beyond the first ones; `task` is that of the
+    data, with what is assumed besides."""
     at = _begin_anew(at)
-    for horizon in _list_horizons(data):
-        at = ensemble_refits.refit(cut_at(task, horizon), forget_answers(at), _AT_EACH_HORIZON)
-    return forget_answers(at)
+    *first, release = _list_horizons(data)
+    for horizon in first:
+        at = ensemble_refits.refit(
+            cut_at(task, horizon), forget_answers(at), _AT_EACH_HORIZON, tol=_WORTH
+        )
+    at, cutting = place_cutting_effects(task, forget_answers(at), effects, data.scales)
+    at = ensemble_refits.refit(
+        cut_at(task, release), forget_answers(at), _AT_EACH_HORIZON, tol=_WORTH
+    )
+    return forget_answers(at), cutting
 
 
 def _begin_anew(at: Fits) -> Fits:

@@ -5,6 +5,7 @@ It begins where the plain fit ended, and from the set-up's own numbers with a ho
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,8 +19,10 @@ from difffric.estimation.ensemble import EnsembleTask, Fits
 WIDE = 3.0
 """Shares of their units by which small effects are assumed to scatter while they are fitted: more
 than any background has, so that a cause among them is hardly held back."""
-_ROUNDS = 15
-"""Steps at most of a joint fit."""
+_FIRST_ROUNDS, _ROUNDS = 6, 15
+"""Steps at most of a joint fit, first from the plain fit."""
+ROUGHLY = 1.0
+"""What a step has to gain in chi-square, while more is to come."""
 _NOISE_LEFT = 3.0
 """Squares per number up to which a fit leaves noise, and what is linear in small shapes."""
 
@@ -36,13 +39,18 @@ def measure_left(task: EnsembleTask, fits: Fits) -> float:
     return float(rss / task.counts.sum())
 
 
-def fit_jointly(data: DiagnosisData, small: SmallEffects, plain: Fits, guess: Fits) -> Fits:
+def fit_jointly(
+    data: DiagnosisData, small: SmallEffects, plain: Fits, guess: Fits, effects: Sequence[str]
+) -> tuple[Fits, tuple[str, ...]]:
     """Return the best joint fit, begun from the plain fit `plain` and, where that does not arrive,
-    from `guess`, the set-up's own numbers (all ensembles of one)."""
+    from `guess`, the set-up's own numbers (all ensembles of one); and those of the `effects` in it
+    that cut pushes short."""
     task = small.assume(data.task, WIDE)
-    found = ensemble_refits.refit(task, small.free(plain), _ROUNDS)
+    found = ensemble_refits.refit(task, small.free(plain), _FIRST_ROUNDS, tol=ROUGHLY)
     if leaves_noise(task, found) or data.reduction is None:
-        return found
-    at = fit_with_growing_horizon(data, task, small.free(replace(guess, extra=plain.extra)))
-    at = ensemble_refits.refit(task, at, _ROUNDS)
-    return min(found, at, key=lambda one: float(ensemble.criterion(task, one)[0]))
+        return ensemble_refits.refit(task, found, _ROUNDS), ()
+    at = small.free(replace(guess, extra=plain.extra))
+    at, cutting = fit_with_growing_horizon(data, task, at, effects)
+    at = ensemble_refits.refit(task, at, _ROUNDS, tol=ROUGHLY)
+    better = float(ensemble.criterion(task, at)[0]) < float(ensemble.criterion(task, found)[0])
+    return (at, cutting) if better else (found, ())

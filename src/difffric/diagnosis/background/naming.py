@@ -22,11 +22,11 @@ _LOOKS = 10
 USUAL_SHARE = 0.4
 """Share of their units by which the small effects of a usual rig scatter: 0.2 % of F_p or d each.
 What stays within that is none that matters, however well it is seen."""
-_ROUNDS = 20
+_ROUNDS = 12
 """Steps at most of the fit with the causes alone."""
 _CONSIDERED = 3
 """Single causes that are told beside those that are named."""
-_FEW_ROUNDS = 10
+_FEW_ROUNDS = 4
 """Steps at most of a fit with one of these."""
 
 

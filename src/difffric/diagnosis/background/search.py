@@ -12,14 +12,27 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from difffric.diagnosis.background.cause_sets import CauseSet, score_singles, search_sets
+from difffric.diagnosis.background.cause_sets import (
+    CauseSet,
+    compute_price,
+    score_singles,
+    search_sets,
+)
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
-from difffric.diagnosis.background.joint_fit import WIDE, fit_jointly, measure_left
+from difffric.diagnosis.background.joint_fit import (
+    ROUGHLY,
+    WIDE,
+    fit_jointly,
+    measure_left,
+)
 from difffric.diagnosis.background.shape_columns import (
+    Shape,
     compute_columns,
+    list_nearby,
     list_placed,
     list_shapes,
 )
+from difffric.diagnosis.background.shape_pursuit import pursue_shapes
 from difffric.diagnosis.background.small_effects import SmallEffects, choose_small_effects
 from difffric.diagnosis.data import DiagnosisData, choose_subset
 from difffric.estimation import ensemble, ensemble_refits
@@ -29,11 +42,13 @@ from difffric.rig.catalogue import numbers_of
 MOST_EXCESS = 1.5
 """By how many times the noise the small effects and the columns of shapes may leave, to be
 trusted."""
-_SHAPES_FITTED, _OF_EACH = 8, 2
+_SHAPES_FITTED, _OF_EACH = 6, 2
 """Shapes from which a fit is begun where they leave more, and of each effect."""
-_MOST_SHAPED = 3
-"""Effects with a shape that are added so."""
-_FIRST_ROUNDS = 3
+_MOST_SHAPED = 6
+"""How often effects with a shape are added."""
+_AT_ONCE = 3
+"""Shapes at most that are placed at once."""
+_FIRST_ROUNDS = 2
 """Steps of the fits from each of these shapes."""
 _LEADERS = 2
 """Those of them that are fitted to the end."""
@@ -88,8 +103,12 @@ class _JointSearch:
         shapes = list_placed(task, self.joint, self.shaped)
         others = [effect for effect in self.effects if effect not in self.shaped]
         shapes += list_shapes(task, others, self.data.scales)
-        columns = compute_columns(task, self.joint, shapes)
-        return Evidence(task, self.joint, self.small, columns, self.background)
+        return self._compare_shapes(shapes)
+
+    def _compare_shapes(self, shapes: Sequence[Shape]) -> Evidence:
+        """Make the comparison of small effects and these shapes."""
+        columns = compute_columns(self.data.task, self.joint, shapes)
+        return Evidence(self.data.task, self.joint, self.small, columns, self.background)
 
     def add_shape(self, evidence: Evidence) -> bool:
         """Add the effect with a shape that helps most; whether any does."""
@@ -109,7 +128,7 @@ class _JointSearch:
         fits = ensemble_refits.refit(task, ensemble.join(*starts), _FIRST_ROUNDS, some)
         leaders = np.argsort(ensemble.criterion(task, fits))[:_LEADERS]
         starts = replace(fits.pick(leaders), gram=None, residual=None, damping=None)
-        fits = ensemble_refits.refit(task, starts, _ROUNDS)
+        fits = ensemble_refits.refit(task, starts, _ROUNDS, tol=ROUGHLY)
         best = int(np.argmin(ensemble.criterion(task, fits)))
         found, best = fits.pick(best), int(leaders[best]) % len(first)
         gain = float(ensemble.criterion(task, self.joint)[0] - ensemble.criterion(task, found)[0])
@@ -117,6 +136,29 @@ class _JointSearch:
             return False
         self.joint, self.shaped = found, (*self.shaped, first[best].items[0].effect)
         return True
+
+    def place_shapes(self, evidence: Evidence) -> bool:
+        """Place the shapes that stand out of the noise, one of each effect; whether any does."""
+        task = self.small.assume(self.data.task, WIDE)
+        found = pursue_shapes(evidence, _AT_ONCE)
+        nearby = list_nearby([item.shape for item in found.items if item.shape is not None])
+        if not nearby:
+            return False
+        nearby = [*list_placed(task, self.joint, self.shaped), *nearby]
+        evidence = self._compare_shapes(nearby)
+        before = float(ensemble.criterion(task, self.joint)[0])
+        for most in range(_AT_ONCE, 0, -1):  # all at once may be too far for a linear prediction
+            found = pursue_shapes(evidence, most)
+            if len(found.items) < most:
+                continue
+            start = _place(task, self.joint, found.items, found.sizes)
+            fits = ensemble_refits.refit(task, start, _ROUNDS, tol=ROUGHLY)
+            gain = before - float(ensemble.criterion(task, fits)[0])
+            if gain > 2 * compute_price(evidence, found.items):
+                new = (item.effect for item in found.items)
+                self.joint, self.shaped = fits, (*self.shaped, *new)
+                return True
+        return False
 
     def _forget_small(self) -> Fits:
         """The joint fit's shapes with the plain fit and no small effect."""
@@ -133,14 +175,10 @@ class _JointSearch:
     ) -> None:
         """Fit anew with a set of causes at any size."""
         start = _place(self.data.task, self.joint, items, sizes)
-        shaped = tuple(item.effect for item in items if item.shape is not None)
-        gone = [effect for effect in self.shaped if effect not in shaped]
-        index = self.data.task.model.coordinates.indices([n for e in gone for n in numbers_of(e)])
-        c = start.c.copy()
-        c[0, index] = 0.0
-        start = replace(start, c=c, extra=(tuple(i for i in start.extra[0] if i not in index),))
+        new = (x.effect for x in items if x.shape is not None and not x.shape.placed)
         task = free_causes(self.data.task, self.small, evidence, items)
-        self.joint, self.shaped = ensemble_refits.refit(task, start, _ROUNDS), shaped
+        self.joint = ensemble_refits.refit(task, start, _ROUNDS)
+        self.shaped = (*self.shaped, *new)
 
 
 def free_causes(
@@ -160,17 +198,18 @@ def search_background(
     as it was given (both ensembles of one). Without a `background` every effect but the causes is
     exactly at its null."""
     small = choose_small_effects(data.task, plain, effects)
-    joint = fit_jointly(data, small, plain, guess)
-    search = _JointSearch(data, effects, background, small, plain, joint)
+    joint, cutting = fit_jointly(data, small, plain, guess, effects)
+    search = _JointSearch(data, effects, background, small, plain, joint, cutting)
     evidence = search.weigh()
     for _ in range(_MOST_SHAPED):
-        if evidence.excess < MOST_EXCESS or not search.add_shape(evidence):
+        far = evidence.excess > MOST_EXCESS
+        if not (search.add_shape(evidence) if far else search.place_shapes(evidence)):
             break
         evidence = search.weigh()
     sets = search_sets(evidence, evidence.items)
     singles = [one for one in sets if len(one.items) == 1]
     ended = [BackgroundSearch(data, search.joint, small, evidence, tuple(sets), (), search.shaped)]
-    freed = frozenset(search.shaped)
+    freed = None
     for _ in range(_COMPARISONS - 1):
         if sets[0].effects == freed:
             break

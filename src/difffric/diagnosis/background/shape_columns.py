@@ -8,7 +8,7 @@ the residuals is taken as it is, by the difference of two answers without deriva
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,8 @@ _AMPLITUDE = 0.02
 """Amplitude of a shape whose change is taken: so small that it is linear."""
 _PLACES = 14
 """Places within the shortest way, and again as many beyond it."""
+_BESIDE, _NEARBY = 0.7, 9
+"""How far beside a shape nearer ones are looked for, in steps of the grid, and how many."""
 _NEAREST = 0.04
 """The first place, as a share of the shortest way."""
 
@@ -49,6 +51,10 @@ class Shape:
     """the amplitude there, by which a column is divided"""
     typical: float
     """the amplitude that one may meet"""
+    along: int | None = None
+    """the coordinate of a wave's length, or of a patch's place"""
+    near: tuple[float, float] = (0.0, 0.0)
+    """between which of it no other shape of the grid is nearer, and a little beyond"""
     placed: bool = False
     """whether the effect is in the model with this shape: the point is then that without it"""
 
@@ -85,6 +91,20 @@ def list_shapes(task: EnsembleTask, effects: Sequence[str], scales: Scales) -> l
     return found
 
 
+def list_nearby(shapes: Sequence[Shape]) -> list[Shape]:
+    """List the waves and patches that lie near each of the `shapes` on the grid."""
+    found = []
+    for one in shapes:
+        if one.along is None:
+            found.append(one)
+            continue
+        low, high = one.near
+        for at in np.linspace(low, high, _NEARBY):
+            points = tuple({**point, one.along: float(at)} for point in one.points)
+            found.append(replace(one, points=points))
+    return found
+
+
 def list_placed(task: EnsembleTask, at: Fits, effects: Sequence[str]) -> list[Shape]:
     """List the shapes that those of the `effects` have that are in the fit `at` (an ensemble of
     one)."""
@@ -113,9 +133,12 @@ def _list_waves(task: EnsembleTask, effect: str, scales: Scales) -> Iterator[Sha
     first, step = 0.5 / np.max(way), 1.0 / (_PER_WAY * np.median(way))
     size = _AMPLITUDE / coordinates.unit[sine]
     for turns in np.arange(first, min(1.0 / _SHORTEST, first + _MOST_WAVES * step), step):
-        at = (1.0 / turns - coordinates.null[length]) / coordinates.unit[length]
+        ends = np.array(
+            [1.0 / (turns + x * step) for x in (0.0, _BESIDE, -min(_BESIDE, 0.5 * first / step))]
+        )
+        at, *near = (ends - coordinates.null[length]) / coordinates.unit[length]
         both = ({sine: size, cosine: 0.0, length: at}, {sine: 0.0, cosine: size, length: at})
-        yield Shape(effect, both, _AMPLITUDE, _find_typical(effect))
+        yield Shape(effect, both, _AMPLITUDE, _find_typical(effect), length, tuple(near))
 
 
 def _list_patches(task: EnsembleTask, scales: Scales) -> Iterator[Shape]:
@@ -124,10 +147,13 @@ def _list_patches(task: EnsembleTask, scales: Scales) -> Iterator[Shape]:
     amplitude, start = coordinates.indices(numbers_of(_PATCH))
     low, high = np.min(scales.ways), np.max(scales.ways)
     places = np.linspace(_NEAREST, 1.0, _PLACES) * low
+    size, typical = _AMPLITUDE / coordinates.unit[amplitude], _find_typical(_PATCH)
     for place in np.append(places, np.linspace(low, high, _PLACES)[1:-1]):
-        at = (place - coordinates.null[start]) / coordinates.unit[start]
-        size = _AMPLITUDE / coordinates.unit[amplitude]
-        yield Shape(_PATCH, ({amplitude: size, start: at},), _AMPLITUDE, _find_typical(_PATCH))
+        ends = place + np.array([0.0, -_BESIDE, _BESIDE]) * low / _PLACES
+        at, *near = (ends - coordinates.null[start]) / coordinates.unit[start]
+        yield Shape(
+            _PATCH, ({amplitude: size, start: at},), _AMPLITUDE, typical, start, tuple(near)
+        )
 
 
 def _find_typical(effect: str) -> float:

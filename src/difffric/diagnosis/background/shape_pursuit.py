@@ -1,0 +1,67 @@
+"""Which shapes, one of each effect, explain best what small effects leave: one after the other.
+
+The small effects scatter about their nulls, and the plain parameters are free; what is left is
+explained by the shape that takes up most of it, then by the next beside it, of another effect
+(Mallat and Zhang, Matching pursuits with time-frequency dictionaries, IEEE Trans. Signal Process.
+41, 1993, with all sizes found anew at each step).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.diagnosis.background.cause_sets import compute_price, makes_sense
+from difffric.diagnosis.background.evidence import Evidence, PossibleCause
+
+
+class PursuedShapes(NamedTuple):
+    """Shapes that together explain what small effects leave."""
+
+    items: tuple[PossibleCause, ...]
+    sizes: tuple[float, ...]
+    """of their columns, one after the other"""
+    gains: tuple[float, ...]
+    """the drop of chi-square that each made as it was added"""
+
+
+def pursue_shapes(evidence: Evidence, most: int) -> PursuedShapes:
+    """Return at most so many shapes that are not placed yet, whose drops of chi-square are above
+    their prices and whose sizes make sense."""
+    M, h, first = evidence.project_out_small()
+    shaped = [x for x in evidence.items if x.shape is not None and not x.shape.placed]
+    chosen: list[PossibleCause] = []
+    gains: list[float] = []
+    for _ in range(most):
+        there = [c - first for item in chosen for c in item.columns]
+        best: tuple[float, PossibleCause] | None = None
+        for item in shaped:
+            if any(item.effect == other.effect for other in chosen):
+                continue
+            mine = [c - first for c in item.columns]
+            gain, size = _add(M, h, there, mine)
+            if gain > 2 * compute_price(evidence, [item]) and makes_sense(evidence, [item], size):
+                best = max(best, (gain, item), key=lambda x: x[0]) if best else (gain, item)
+        if best is None:
+            break
+        gains.append(best[0])
+        chosen.append(best[1])
+    there = [c - first for item in chosen for c in item.columns]
+    sizes = -np.linalg.solve(M[np.ix_(there, there)], h[there]) if there else np.zeros(0)
+    return PursuedShapes(tuple(chosen), tuple(sizes.tolist()), tuple(gains))
+
+
+def _add(M: NDArray, h: NDArray, there: list[int], mine: list[int]) -> tuple[float, NDArray]:
+    """The drop of chi-square by the columns `mine` beside those that are `there`, and their
+    sizes."""
+    A, q = M[np.ix_(mine, mine)], h[mine]
+    if there:
+        cross = np.linalg.solve(M[np.ix_(there, there)], M[np.ix_(there, mine)])
+        A, q = A - M[np.ix_(mine, there)] @ cross, q - h[there] @ cross
+    floor = 1e-9 * np.diag(M[np.ix_(mine, mine)])  # one that the others do as well explains nothing
+    if (np.diag(A) <= floor).any():
+        return 0.0, np.zeros(len(mine))
+    size = -np.linalg.solve(A, q)
+    return float(-size @ q), size

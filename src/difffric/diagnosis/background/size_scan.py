@@ -1,0 +1,68 @@
+"""The size of an effect that cuts a push short, where all else is fitted up to the release.
+
+Such an effect changes nothing until it sets in, and much at once: no derivative leads to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from difffric.diagnosis.background.small_effects import ask_at
+from difffric.diagnosis.starting_values import list_starting_values
+from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.rig.catalogue import numbers_of
+from difffric.rig.scales import Scales
+
+CUTTING = ("pusher_duration",)
+"""Effects that cut a push short."""
+_SIZES, _ROUNDS = 24, 4
+"""Sizes that are tried at once, and how often, each time between the best one's neighbours."""
+_WORTH = 0.7
+"""The share of the squares up to which the best size leaves is worth placing."""
+
+
+def place_cutting_effects(
+    task: EnsembleTask, at: Fits, effects: Sequence[str], scales: Scales
+) -> tuple[Fits, tuple[str, ...]]:
+    """Return the fit `at` (an ensemble of one) with those of the `effects` free, at their best
+    sizes, that explain much by cutting pushes short; and which they are."""
+    found: list[str] = []
+    for effect in effects:
+        if effect in CUTTING:
+            new = _place_best_size(task, at, effect, scales)
+            found += [effect] if new is not at else []
+            at = new
+    return at, tuple(found)
+
+
+def _place_best_size(task: EnsembleTask, at: Fits, effect: str, scales: Scales) -> Fits:
+    coordinates = task.model.coordinates
+    (i,) = coordinates.indices(numbers_of(effect))
+    tried = [coordinates.point(value)[0] for value in list_starting_values(effect, scales)]
+    ends, least = np.array([min(tried), max(tried)]), np.inf
+    best = 0.0
+    for _ in range(_ROUNDS):
+        sizes = np.geomspace(*ends, _SIZES)
+        points = np.repeat(at.c, _SIZES + 1, axis=0)
+        points[1:, i] = sizes
+        squares = _sum_squares(task, at, points)
+        k = int(np.nanargmin(squares[1:]))
+        if squares[1 + k] < least:
+            least, best = squares[1 + k], sizes[k]
+        ends = sizes[[max(k - 1, 0), min(k + 1, _SIZES - 1)]]
+    if not least < _WORTH * squares[0]:
+        return at
+    c = at.c.copy()
+    c[0, i] = best
+    extra = (*at.extra[0], i)
+    return replace(at, c=c, extra=(extra,), gram=None, residual=None, damping=None)
+
+
+def _sum_squares(task: EnsembleTask, at: Fits, points: np.ndarray) -> np.ndarray:
+    """The squares (m,) of all residuals at each of the `points` (m, K)."""
+    answers = ask_at(task, at, points)
+    left = (answers.residual.reshape(len(points), -1, 2, answers.residual.shape[-1])) ** 2
+    return np.einsum("mnkb,k->m", left, at.spread[0] ** -2.0)
