@@ -222,6 +222,15 @@ class Evidence:
             background=np.array(variances),
         )
 
+    def list_small_shapes(self, least: float) -> list[str]:
+        """The effects whose shapes are placed and would have to grow by such a factor at `least`
+        to have unit size."""
+        return [
+            item.effect
+            for item in self.items
+            if item.shape is not None and item.shape.placed and self._unit[item.columns[0]] > least
+        ]
+
     def project_out_small(self) -> tuple[NDArray, NDArray, int]:
         """The information (C, C) on the columns of shapes and their products with the residuals
         (C,), the plain parameters free and all else with a background of unit size, and the number

@@ -46,6 +46,10 @@ _SHAPES_FITTED, _OF_EACH = 6, 2
 """Shapes from which a fit is begun where they leave more, and of each effect."""
 _MOST_SHAPED = 6
 """How often effects with a shape are added."""
+_ARRIVED = 1.1
+"""Squares per number from which on a fit that leaves more may have shapes at wrong places."""
+_SMALL = 0.3
+"""A shape is small where it would have to grow by this factor at least to have unit size."""
 _AT_ONCE = 3
 """Shapes at most that are placed at once."""
 _FIRST_ROUNDS = 2
@@ -99,16 +103,19 @@ class _JointSearch:
 
     def weigh(self) -> Evidence:
         """Make the comparison where the joint fit stands."""
-        task = self.data.task
-        shapes = list_placed(task, self.joint, self.shaped)
-        others = [effect for effect in self.effects if effect not in self.shaped]
-        shapes += list_shapes(task, others, self.data.scales)
-        return self._compare_shapes(shapes)
+        return self._weigh_at(self.joint, self.shaped)
 
-    def _compare_shapes(self, shapes: Sequence[Shape]) -> Evidence:
+    def _weigh_at(self, at: Fits, shaped: Sequence[str]) -> Evidence:
+        """Make the comparison where a fit stands that has shapes of the effects `shaped`."""
+        task = self.data.task
+        others = [effect for effect in self.effects if effect not in shaped]
+        shapes = list_placed(task, at, shaped) + list_shapes(task, others, self.data.scales)
+        return self._compare_shapes(at, shapes)
+
+    def _compare_shapes(self, at: Fits, shapes: Sequence[Shape]) -> Evidence:
         """Make the comparison of small effects and these shapes."""
-        columns = compute_columns(self.data.task, self.joint, shapes)
-        return Evidence(self.data.task, self.joint, self.small, columns, self.background)
+        columns = compute_columns(self.data.task, at, shapes)
+        return Evidence(self.data.task, at, self.small, columns, self.background)
 
     def add_shape(self, evidence: Evidence) -> bool:
         """Add the effect with a shape that helps most; whether any does."""
@@ -139,26 +146,54 @@ class _JointSearch:
 
     def place_shapes(self, evidence: Evidence) -> bool:
         """Place the shapes that stand out of the noise, one of each effect; whether any does."""
+        found = self._place_beside(self.joint, self.shaped, evidence)
+        if found is None:
+            return False
+        self.joint, self.shaped = found
+        return True
+
+    def place_shapes_anew(self, evidence: Evidence) -> bool:
+        """Place all small shapes anew, of which one may stand at a wrong place; whether that is
+        better."""
+        small = evidence.list_small_shapes(_SMALL)
+        if not small:
+            return False
+        index = self.data.task.model.coordinates.indices([n for e in small for n in numbers_of(e)])
+        c = self.joint.c.copy()
+        c[0, index] = 0.0
+        extra = tuple(i for i in self.joint.extra[0] if i not in index)
+        bare = replace(self.joint, c=c, extra=(extra,), gram=None, residual=None, damping=None)
+        shaped = tuple(effect for effect in self.shaped if effect not in small)
+        bare = ensemble.evaluate(self.small.assume(self.data.task, WIDE), bare)
+        found = self._place_beside(bare, shaped, self._weigh_at(bare, shaped))
+        if found is None:
+            return False
+        self.joint, self.shaped = found
+        return True
+
+    def _place_beside(
+        self, at: Fits, shaped: tuple[str, ...], evidence: Evidence
+    ) -> tuple[Fits, tuple[str, ...]] | None:
+        """Return the fit with shapes placed in the fit `at`, which has those of `shaped`, and the
+        effects that are then in it; None where that is not worth it."""
         task = self.small.assume(self.data.task, WIDE)
         found = pursue_shapes(evidence, _AT_ONCE)
         nearby = list_nearby([item.shape for item in found.items if item.shape is not None])
         if not nearby:
-            return False
-        nearby = [*list_placed(task, self.joint, self.shaped), *nearby]
-        evidence = self._compare_shapes(nearby)
+            return None
+        nearby = [*list_placed(task, at, shaped), *nearby]
+        evidence = self._compare_shapes(at, nearby)
         before = float(ensemble.criterion(task, self.joint)[0])
         for most in range(_AT_ONCE, 0, -1):  # all at once may be too far for a linear prediction
             found = pursue_shapes(evidence, most)
             if len(found.items) < most:
                 continue
-            start = _place(task, self.joint, found.items, found.sizes)
+            start = _place(task, at, found.items, found.sizes)
             fits = ensemble_refits.refit(task, start, _ROUNDS, tol=ROUGHLY)
             gain = before - float(ensemble.criterion(task, fits)[0])
             if gain > 2 * compute_price(evidence, found.items):
-                new = (item.effect for item in found.items)
-                self.joint, self.shaped = fits, (*self.shaped, *new)
-                return True
-        return False
+                return fits, (*shaped, *(item.effect for item in found.items))
+        return None
 
     def _forget_small(self) -> Fits:
         """The joint fit's shapes with the plain fit and no small effect."""
@@ -202,8 +237,12 @@ def search_background(
     search = _JointSearch(data, effects, background, small, plain, joint, cutting)
     evidence = search.weigh()
     for _ in range(_MOST_SHAPED):
-        far = evidence.excess > MOST_EXCESS
-        if not (search.add_shape(evidence) if far else search.place_shapes(evidence)):
+        ways = [search.place_shapes, search.place_shapes_anew]
+        if measure_left(data.task, search.joint) < _ARRIVED:
+            ways = ways[:1]
+        if evidence.excess > MOST_EXCESS:
+            ways = [search.add_shape]
+        if not any(place(evidence) for place in ways):
             break
         evidence = search.weigh()
     sets = search_sets(evidence, evidence.items)

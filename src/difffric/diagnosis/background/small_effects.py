@@ -25,8 +25,9 @@ _RATIO_TYPICAL = 0.1
 size."""
 _LARGEST = 2.0
 """Times a size that one may meet: the largest unit, of an effect that changes neither F_p nor d."""
-_FARTHEST = 2.0
-"""Times a size that one may meet, beyond which an effect is not small."""
+_FARTHEST, _UNSEEN_FARTHEST = 2.0, 5.0
+"""Times a size that one may meet, beyond which an effect is not small; and one that changes neither
+F_p nor d, of which nobody knows."""
 _STEP = 0.1
 """Share of such a size by which an effect is moved to see what it changes."""
 _NONE_AT_NULL = tuple(name for name, (_, key) in KEYS.items() if key.inverse)
@@ -60,7 +61,8 @@ class SmallEffects:
         index = np.array(self.index, int)[free]
         prior, reach = np.zeros(len(self.null)), np.full(len(self.null), np.inf)
         prior[index] = (share * self.unit[free]) ** -2.0
-        reach[index] = _FARTHEST * self.typical[free]
+        unseen = self.unit[free] >= _LARGEST * self.typical[free]
+        reach[index] = np.where(unseen, _UNSEEN_FARTHEST, _FARTHEST) * self.typical[free]
         return replace(task, prior=prior, prior_about=self.null, reach=reach)
 
     def free(self, fits: Fits) -> Fits:
