@@ -72,6 +72,8 @@ def add_free_forms(task: EnsembleTask, scales: Scales) -> EnsembleTask:
         task,
         model=replace(model, coordinates=coordinates, rig=rig),
         prior=prior,
+        prior_about=None,
+        reach=None,
     )
 
 

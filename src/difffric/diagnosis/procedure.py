@@ -161,7 +161,7 @@ class _CauseSearch(CauseRounds):
 
     def run(self) -> Findings:
         """Look for causes, round by round, and return all that was found."""
-        data, task = self.start.data, self.start.data.task
+        task = self.start.data.task
         if task.model.in_columns:
             self._add_combination()
         elif task.n < _FEWEST:
@@ -170,7 +170,7 @@ class _CauseSearch(CauseRounds):
             self._add_standing()
         else:
             self.add_one_by_one()
-        certificates = find_unreachable(data.measured, self.setup.rig)
+        certificates = find_unreachable(self.start.data.measured, self.setup.rig)
         if certificates and not self.named:
             # The plain model is wrong for certain: what may mend it is in question.
             question = tuple(c for c in self.considered if c.penalised_drop > 0)
@@ -181,7 +181,7 @@ class _CauseSearch(CauseRounds):
         slight = [one for one in self.named if one not in causes]
         return Findings(
             setup=self.setup,
-            data=data,
+            data=self.start.data,
             fit=calibrate_plain(self.start, self.plain),
             validation=self.validation,
             plain=self.plain,
@@ -306,7 +306,10 @@ class _CauseSearch(CauseRounds):
         if not strong or not is_promising(task, self.plain, PRESLIDING, scales):
             return False
         self.tell("looking for bristles", 0.65)
-        (best,) = explore(task, self.plain, [PRESLIDING], scales, {}, far=strong)
+        found = explore(task, self.plain, [PRESLIDING], scales, {}, far=strong)
+        if not found:
+            return False
+        best = found[0]
         p_value = compute_p_value(PRESLIDING, best.drop, looked_for)
         if p_value > SIGNIFICANT or is_misfit_large(task, best.fits):
             return False

@@ -135,8 +135,8 @@ class Evidence:
 
     @property
     def effects(self) -> int:
-        """How many effects are compared."""
-        return len({item.effect for item in self.items})
+        """How many effects are compared, or 1."""
+        return max(len({item.effect for item in self.items}), 1)
 
     def estimate_share(self, items: Sequence[PossibleCause] = ()) -> float:
         """The share of their units by which the effects scatter, where the `items` are causes."""
@@ -359,6 +359,8 @@ def _collect_rows(
     c[:, 0] = at.mu[0, task.condition] + at.own[0]
     rows = task.model.answers(np.arange(n), c, directions, True).rows
     rows = (rows / at.spread[0][:, None, None]).reshape(n, -1, len(directions) + 1)
+    # A push that cannot be followed beside the nulls says nothing.
+    rows = np.where(np.isfinite(rows).all(axis=(1, 2), keepdims=True), rows, 0.0)
     own, plain = rows[..., 0], rows[..., 1 : -1 - len(small.index)]
     columns = rows[..., -1 - len(small.index) : -1]
     left = rows[..., -1] - own * at.own[0][:, None]

@@ -131,8 +131,7 @@ def fit_causes(
         return plain
     index = task.model.coordinates.indices([n for x in items for n in numbers_of(x.effect)])
     at = search.joint.c.copy()
-    small = search.small
-    gone = [i for i in small.index if i not in index]
+    gone = [i for i in search.joint.extra[0] if i not in (*index, *plain.extra[0])]
     at[0, gone] = plain.c[0, gone]
     extra = ((*plain.extra[0], *(i for i in index if i not in plain.extra[0])),)
     there = plain.c.copy()
@@ -164,8 +163,8 @@ def fit_singles(task: EnsembleTask, plain: Fits, search: BackgroundSearch) -> li
     out = []
     for j, (item, one) in enumerate(found):
         price = len(numbers_of(item.effect)) * task.price
-        log = search.evidence.compute_log_p_values([item]) if item in search.evidence.items else [0]
-        p_value = float(np.exp(min(log[0] + np.log(_count_looks(search.evidence, item)), 0.0)))
+        (log,) = search.first.compute_log_p_values([item])
+        p_value = float(np.exp(min(log + np.log(_count_looks(search.first, item)), 0.0)))
         out.append(
             CandidateCause(
                 item.effect,

@@ -79,6 +79,8 @@ class BackgroundSearch:
     """the most probable first"""
     singles: tuple[CauseSet, ...]
     """the single causes as they were compared first, the best first"""
+    first: Evidence
+    """where they were compared"""
     shaped: tuple[str, ...]
     """effects with a shape that are in the joint fit"""
 
@@ -247,8 +249,15 @@ def search_background(
         evidence = search.weigh()
     sets = search_sets(evidence, evidence.items)
     singles = [one for one in sets if len(one.items) == 1]
-    ended = [BackgroundSearch(data, search.joint, small, evidence, tuple(sets), (), search.shaped)]
-    freed = None
+    first = evidence
+
+    def end() -> BackgroundSearch:
+        return BackgroundSearch(
+            data, search.joint, small, evidence, tuple(sets), tuple(singles), first, search.shaped
+        )
+
+    ended = [end()]
+    freed: frozenset[str] = frozenset()
     for _ in range(_COMPARISONS - 1):
         if sets[0].effects == freed:
             break
@@ -256,12 +265,10 @@ def search_background(
         search.free(evidence, sets[0].items, sets[0].sizes)
         evidence = search.weigh()
         sets = search_sets(evidence, evidence.items)
-        ended.append(
-            BackgroundSearch(data, search.joint, small, evidence, tuple(sets), (), search.shaped)
-        )
+        ended.append(end())
     if sets[0].effects != freed:  # they go to and fro: where least is left
         ended.sort(key=lambda one: -measure_left(data.task, one.joint))
-    return replace(ended[-1], singles=tuple(singles))
+    return ended[-1]
 
 
 def fit_beside_background(

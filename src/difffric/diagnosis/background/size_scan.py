@@ -42,17 +42,17 @@ def _place_best_size(task: EnsembleTask, at: Fits, effect: str, scales: Scales) 
     coordinates = task.model.coordinates
     (i,) = coordinates.indices(numbers_of(effect))
     tried = [coordinates.point(value)[0] for value in list_starting_values(effect, scales)]
-    ends, least = np.array([min(tried), max(tried)]), np.inf
-    best = 0.0
+    low, high = min(tried), max(tried)
+    best, least = 0.0, np.inf
     for _ in range(_ROUNDS):
-        sizes = np.geomspace(*ends, _SIZES)
+        sizes = np.geomspace(low, high, _SIZES)
         points = np.repeat(at.c, _SIZES + 1, axis=0)
         points[1:, i] = sizes
         squares = _sum_squares(task, at, points)
-        k = int(np.nanargmin(squares[1:]))
+        k = int(np.argmin(squares[1:]))
         if squares[1 + k] < least:
             least, best = squares[1 + k], sizes[k]
-        ends = sizes[[max(k - 1, 0), min(k + 1, _SIZES - 1)]]
+        low, high = float(sizes[max(k - 1, 0)]), float(sizes[min(k + 1, _SIZES - 1)])
     if not least < _WORTH * squares[0]:
         return at
     c = at.c.copy()
@@ -64,5 +64,7 @@ def _place_best_size(task: EnsembleTask, at: Fits, effect: str, scales: Scales) 
 def _sum_squares(task: EnsembleTask, at: Fits, points: np.ndarray) -> np.ndarray:
     """The squares (m,) of all residuals at each of the `points` (m, K)."""
     answers = ask_at(task, at, points)
+    # What cannot be followed is no number.
     left = (answers.residual.reshape(len(points), -1, 2, answers.residual.shape[-1])) ** 2
-    return np.einsum("mnkb,k->m", left, at.spread[0] ** -2.0)
+    squares = np.einsum("mnkb,k->m", left, at.spread[0] ** -2.0)
+    return np.where(np.isfinite(squares), squares, np.inf)
