@@ -3,13 +3,19 @@ the dense normal distribution says."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from difffric.diagnosis.background import cause_sets, evidence
 from difffric.diagnosis.background.evidence import Evidence
+from difffric.diagnosis.background.shape_columns import Shape, ShapeColumns, list_nearby
+from difffric.diagnosis.background.shape_pursuit import pursue_shapes
 from difffric.diagnosis.background.small_effects import SmallEffects
-from difffric.estimation import ensemble_refits
+from difffric.estimation import ensemble, ensemble_refits
 from tests.unit.diagnosis.linear_rig import make_task, start
 
 N, EFFECTS = 12, ("tilt", "force_gain", "force_offset", "probe_scale", "initial_gap")
@@ -89,3 +95,42 @@ def test_a_background_alone_has_no_cause(seed):
     assert usual[0] > np.log(1e-3)
     # A wider background never makes a cause surer.
     assert usual[0] >= found.compute_log_p_values(found.items[:1])[0] - 1e-9
+
+
+def make_shapes(seed: int, number: int) -> ShapeColumns:
+    """Columns of waves and patches at random, each the change of the residuals by amplitude 1."""
+    rng = np.random.default_rng(seed)
+    effects = ["friction_patch", "friction_waviness"] * (number // 2)
+    shapes = tuple(
+        Shape(effect, ({0: 1.0},), 0.02, 0.05, along=0, near=(0.5, 1.5)) for effect in effects
+    )
+    typical = np.full(number, 0.05)
+    rows = rng.normal(size=(N, 2, number)) * 40
+    return ShapeColumns(
+        shapes, tuple((k,) for k in range(number)), rows, 0.01 + 0 * typical, typical
+    )
+
+
+@given(st.integers(0, 10**6), st.sampled_from([0, 2, 4]), st.sampled_from([1, 3, 5]))
+def test_shapes_are_found_beside_small_effects(seed, patch, wave):
+    """One of each effect is found, of its true size, and none that is not there."""
+    shapes = make_shapes(seed, 6)
+    sizes = {patch: 0.5, wave: -0.3}
+    task, slopes, measured = draw(cause=0.0, background=0.05, seed=seed)
+    measured = measured - sum(a * shapes.rows[:, :, k] for k, a in sizes.items())
+    task = make_task(slopes, measured, ("k", *NAMES), shared=(1,))
+    K, ones = 2 + len(NAMES), np.ones(len(NAMES))
+    small = SmallEffects(EFFECTS, tuple(range(2, K)), 0.3 * ones, 5 * ones, np.zeros(K))
+    at = ensemble.evaluate(task, small.free(start(task, 0.3)))
+    found = pursue_shapes(Evidence(task, at, small, shapes), 3)
+    chosen = [item.columns[0] - len(NAMES) for item in found.items]
+    assert set(chosen) == {patch, wave}
+    assert found.sizes == pytest.approx([sizes[k] for k in chosen], abs=0.1)
+
+
+def test_nearby_shapes_lie_between_the_neighbours_on_the_grid():
+    one = make_shapes(0, 2).shapes[0]
+    near = list_nearby([one])
+    at = [shape.points[0][0] for shape in near]
+    assert min(at) == 0.5 and max(at) == 1.5 and 1.0 in at
+    assert list_nearby([replace(one, along=None)])[0].points == one.points
