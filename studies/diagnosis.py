@@ -39,6 +39,8 @@ IN_RECORDINGS = tuple(e for e in EFFECTS if e not in (*cases.TABLE_ONLY, *AT_NO_
 TIMING = ("pusher_ripple", "force_lowpass", "force_highpass", "channel_skew", "presliding")
 IN_TABLES = tuple(e for e in EFFECTS if e not in TIMING)
 """those that F_p and d show"""
+_NINETY_FIVE = 1.96
+"""Standard errors of a 95 % interval."""
 HEAVIER = (1.0, 1.3)
 """Relative masses where a normal force is looked for."""
 
@@ -161,8 +163,10 @@ def run_case(group: str, i: int, keep: Path | None = None) -> dict:
             return {**line, "error": f"{type(error).__name__}: {error}"}
         line["seconds"] = time.perf_counter() - began
     told = found.as_dict()
-    told.pop("mu_s"), told.pop("experiments")
-    return {**line, **told, "true_model": true_model(found, case)}
+    told.pop("experiments")
+    away = np.abs(np.array(told.pop("mu_s")) - [push.mu_s for push in case.pushes])
+    within = float(np.mean(away <= _NINETY_FIVE * np.array(told.pop("mu_s_standard_error"))))
+    return {**line, **told, "mu_s_within": within, "true_model": true_model(found, case)}
 
 
 def _exponent(case: cases.Case) -> float:

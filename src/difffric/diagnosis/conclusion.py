@@ -28,6 +28,7 @@ from difffric.diagnosis.verdict import (
     Diagnosis,
     DiagnosisState,
     HeldOutGain,
+    compute_friction_errors,
     describe_cause,
     find_friction,
 )
@@ -167,6 +168,7 @@ def conclude(found: Findings, tell: Tell) -> Diagnosis:
     ambiguous = causes if verdict == AMBIGUOUS else ()
     rig = extend_rig(strip_effects(found.setup)[0].rig, task, extended)
     friction, before = (find_friction(task, fits) for fits in (whole, plain))
+    errors = compute_friction_errors(task, whole)
     return Diagnosis(
         verdict=verdict,
         p_value=found.lack.p_value,
@@ -187,6 +189,7 @@ def conclude(found: Findings, tell: Tell) -> Diagnosis:
         rig=rig,
         setup=extend_setup(found.setup, rig, task, extended),
         mu_s=tuple(np.exp(friction).tolist()),
+        mu_s_standard_error=tuple((np.exp(friction) * errors).tolist()),
         change_mu_s=float(np.sqrt(np.mean((friction - before) ** 2))),
         notes=(*_note_plain_fit(found), *found.notes, *notes),
         misfit=misfit,

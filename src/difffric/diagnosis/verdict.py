@@ -173,6 +173,8 @@ class Diagnosis:
     """the same as it is written to a file"""
     mu_s: tuple[float, ...]
     """of each push, drift and dwell included, by the model with all that was detected"""
+    mu_s_standard_error: tuple[float, ...]
+    """of each of these: of the noise, of the causes' sizes, and of the small effects beside them"""
     change_mu_s: float = 0.0
     """relative change (rms over the pushes) of these by all causes together"""
     considered: tuple[Cause, ...] = ()
@@ -211,6 +213,7 @@ class Diagnosis:
             "experiments": [one.as_dict() for one in self.experiments],
             "misfit": [one.as_dict() for one in self.misfit],
             "mu_s": list(self.mu_s),
+            "mu_s_standard_error": list(self.mu_s_standard_error),
             "change_mu_s": self.change_mu_s,
             "notes": list(self.notes),
         }
@@ -328,5 +331,40 @@ def find_friction(task: EnsembleTask, fits: Fits) -> NDArray:
         found = found + np.log1p(drift * np.asarray(pushes.share))
     if _DWELL in coordinates.names:
         (amplitude,) = coordinates.values(fits.c[0], (_DWELL,))
-        found = found + np.log1p(amplitude * np.log1p(np.asarray(pushes.rest) / _TAU))
+        found = found + np.log1p(amplitude * _grow_in_rest(pushes))
     return found
+
+
+def compute_friction_errors(task: EnsembleTask, fits: Fits) -> NDArray:
+    """Return the standard errors (n,) of the log mu_s of `find_friction`.
+
+    A push's own mu_s is known as well as its own data and the scatter say, where the parameters
+    are known; their covariance adds what they do to it. All is as much larger as what the fit
+    leaves beyond the noise.
+    """
+    if not task.mu_free:
+        return np.zeros(task.n)
+    parts = ensemble.split_by_push(task, fits)
+    weight = parts.z[0] + 1.0 / fits.scatter[0] ** 2
+    slope = -parts.h[0] / weight[:, None]
+    slope[np.arange(task.n), task.condition] += 1.0
+    coordinates, columns = task.model.coordinates, [*task.shared, *fits.extra[0]]
+    for name in (_DRIFT, _DWELL):
+        for i in coordinates.indices([name]) if name in coordinates.names else ():
+            if i in columns:
+                pushes = task.model.pushes
+                by = np.asarray(pushes.share) if name == _DRIFT else _grow_in_rest(pushes)
+                (value,) = coordinates.values(fits.c[0], (name,))
+                change = coordinates.unit[i] * by / (1.0 + value * by)
+                slope[:, task.conditions + columns.index(i)] += change
+    covariance = ensemble.covariance(task, fits)[0]
+    variance = 1.0 / weight + np.einsum("np,pq,nq->n", slope, covariance, slope)
+    squares = np.einsum("nk,k->", fits.gram[0, ..., -1, -1], fits.spread[0] ** -2.0)
+    freedom = max(task.counts.sum() - slope.shape[1] - task.n, 1.0)
+    return np.sqrt(variance * max(float(squares) / freedom, 1.0))
+
+
+def _grow_in_rest(pushes: Any) -> NDArray:
+    """By what share of the amplitude of a dwell static friction grew in the rest before each
+    push."""
+    return np.log1p(np.asarray(pushes.rest) / _TAU)

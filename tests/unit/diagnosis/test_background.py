@@ -15,6 +15,7 @@ from difffric.diagnosis.background.evidence import Evidence
 from difffric.diagnosis.background.shape_columns import Shape, ShapeColumns, list_nearby
 from difffric.diagnosis.background.shape_pursuit import pursue_shapes
 from difffric.diagnosis.background.small_effects import SmallEffects
+from difffric.diagnosis.verdict import compute_friction_errors
 from difffric.estimation import ensemble, ensemble_refits
 from tests.unit.diagnosis.linear_rig import make_task, start
 
@@ -134,3 +135,26 @@ def test_nearby_shapes_lie_between_the_neighbours_on_the_grid():
     at = [shape.points[0][0] for shape in near]
     assert min(at) == 0.5 and max(at) == 1.5 and 1.0 in at
     assert list_nearby([replace(one, along=None)])[0].points == one.points
+
+
+def test_errors_of_mu_s_are_those_of_the_dense_normal_distribution():
+    task = draw(cause=1.0)[0]
+    slopes = task.model.slopes
+    scatter = 0.3
+    small = SmallEffects(EFFECTS, tuple(range(2, 7)), np.full(5, 0.3), np.full(5, 5.0), np.zeros(7))
+    task = replace(small.assume(task, 1.0), estimate_scatter=False)
+    at = ensemble_refits.refit(task, small.free(start(task, scatter)), 10)
+    # All of them, and each push's own log mu_s, in one information matrix.
+    J = np.zeros((2 * N, 7 + N))
+    J[:, :7] = slopes.reshape(2 * N, 7)
+    for i in range(N):
+        J[2 * i : 2 * i + 2, 7 + i] = slopes[i, :, 0]
+    prior = np.diag([0.0, 0.0, *[0.3**-2.0] * 5, *[scatter**-2.0] * N])
+    C = np.linalg.inv(J.T @ J + prior)
+    sums = np.zeros((N, 7 + N))
+    sums[:, 0] = 1.0
+    sums[np.arange(N), 7 + np.arange(N)] = 1.0
+    squares = float((at.gram[0, ..., -1, -1]).sum())
+    larger = max(squares / (2 * N - 7 - N), 1.0)
+    errors = np.sqrt(np.diag(sums @ C @ sums.T) * larger)
+    assert compute_friction_errors(task, at) == pytest.approx(errors, rel=1e-6)
