@@ -123,6 +123,8 @@ class Findings:
     than a curve of no particular form; None: they were not compared"""
     curves: tuple[str, ...] = tuple(FORMS)
     """the free forms that may explain them"""
+    unseen: float = 0.0
+    """the relative change of mu_s by a small effect that no push can tell from it"""
 
     @property
     def scale(self) -> float:
@@ -168,7 +170,7 @@ def conclude(found: Findings, tell: Tell) -> Diagnosis:
     ambiguous = causes if verdict == AMBIGUOUS else ()
     rig = extend_rig(strip_effects(found.setup)[0].rig, task, extended)
     friction, before = (find_friction(task, fits) for fits in (whole, plain))
-    errors = compute_friction_errors(task, whole)
+    errors = compute_friction_errors(task, whole, found.unseen)
     return Diagnosis(
         verdict=verdict,
         p_value=found.lack.p_value,

@@ -27,6 +27,7 @@ from difffric.diagnosis.background.search import (
     fit_beside_background,
     search_background,
 )
+from difffric.diagnosis.background.small_effects import UNIT_CHANGE
 from difffric.diagnosis.combinations.cause_rounds import CauseRounds
 from difffric.diagnosis.combinations.explanation import explain_table
 from difffric.diagnosis.conclusion import SIGNIFICANT, Findings, NamedCause, conclude
@@ -65,6 +66,8 @@ _ROUNDS = 40
 _BACKGROUND = 0.05
 """Share of their units by which small effects scatter, from which something outside the catalogue
 may pass for them."""
+_LIKE_FRICTION = "normal_force"
+"""The effect that is one with mu_s where every push has the same mass."""
 _ROUNDS_WITHOUT = 6
 """The same of a refit that leaves a cause out again, which begins near its end."""
 
@@ -140,6 +143,8 @@ class _CauseSearch(CauseRounds):
     """whether causes and background explain the data better than a curve of no particular form"""
     curves: tuple[str, ...] = ()
     """the curve that does"""
+    share: float = 0.0
+    """of their units by which small effects scatter"""
 
     @classmethod
     def begin(
@@ -199,6 +204,7 @@ class _CauseSearch(CauseRounds):
             notes=self.notes,
             explained=self.explained,
             curves=self.curves,
+            unseen=self._find_unseen(),
         )
 
     def _add_combination(self) -> None:
@@ -254,7 +260,7 @@ class _CauseSearch(CauseRounds):
             self.usual = frozenset(item.effect for item in items) - outstanding
         self.scores = run_score_tests(task, self.plain, small)
         self.visible |= {effect: score.visible for effect, score in self.scores.items()}
-        share = found.evidence.estimate_share(items)
+        self.share = share = found.evidence.estimate_share(items)
         if items or share > _BACKGROUND:
             self.tell("comparing with curves of no particular form", 0.6)
             compared = compare_with_curves(data, found, items)
@@ -318,6 +324,10 @@ class _CauseSearch(CauseRounds):
         self.named, self.considered = [NamedCause(one, (one,), self.plain)], [one]
         self.total, self.explained = max(self.lack.excess, best.drop), True
         return True
+
+    def _find_unseen(self) -> float:
+        """Return by how much a small effect that is one with mu_s changes it, relatively."""
+        return self.share * UNIT_CHANGE if _LIKE_FRICTION in self.start.data.impossible else 0.0
 
     def _list_causes(self) -> list[NamedCause]:
         """List what was added and matters."""

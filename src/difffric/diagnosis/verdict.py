@@ -335,8 +335,9 @@ def find_friction(task: EnsembleTask, fits: Fits) -> NDArray:
     return found
 
 
-def compute_friction_errors(task: EnsembleTask, fits: Fits) -> NDArray:
-    """Return the standard errors (n,) of the log mu_s of `find_friction`.
+def compute_friction_errors(task: EnsembleTask, fits: Fits, unseen: float = 0.0) -> NDArray:
+    """Return the standard errors (n,) of the log mu_s of `find_friction`; `unseen` is what a small
+    effect that no push can tell from mu_s (a normal force, where all have one mass) does to it.
 
     A push's own mu_s is known as well as its own data and the scatter say, where the parameters
     are known; their covariance adds what they do to it. All is as much larger as what the fit
@@ -361,7 +362,7 @@ def compute_friction_errors(task: EnsembleTask, fits: Fits) -> NDArray:
     variance = 1.0 / weight + np.einsum("np,pq,nq->n", slope, covariance, slope)
     squares = np.einsum("nk,k->", fits.gram[0, ..., -1, -1], fits.spread[0] ** -2.0)
     freedom = max(task.counts.sum() - slope.shape[1] - task.n, 1.0)
-    return np.sqrt(variance * max(float(squares) / freedom, 1.0))
+    return np.sqrt(variance * max(float(squares) / freedom, 1.0) + unseen**2)
 
 
 def _grow_in_rest(pushes: Any) -> NDArray:
