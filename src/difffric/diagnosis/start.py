@@ -15,7 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.calibration.calibrate import Fit, fit, refine_fit
-from difffric.calibration.free_parameters import choose_first_scatter, choose_free
+from difffric.calibration.free_parameters import (
+    choose_first_scatter,
+    choose_free,
+    has_gauge,
+)
 from difffric.diagnosis.background.growing_horizon import start_plain_fit
 from difffric.diagnosis.data import (
     DiagnosisData,
@@ -125,7 +129,8 @@ def prepare_start(
     scatter, is_estimated = choose_first_scatter(own, len(measured), names, [])
     data = free_plain(data, names, is_estimated)
     mu_s = np.full(len(measured), float(parameters.values(plain)["mu_s"]))
-    mu_s = mu_s if data.task.mu_free else measured.mu_s_gauge
+    if not data.task.mu_free and has_gauge(measured):
+        mu_s = measured.mu_s_gauge
     guess = _add_known(data.task, place_at(data.task, plain, mu_s, scatter), known)
     if fitted is None:
         tell("fitting the plain rig", 0.1)

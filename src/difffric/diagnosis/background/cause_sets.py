@@ -65,10 +65,10 @@ def search_sets(evidence: Evidence, items: Sequence[PossibleCause]) -> list[Caus
 
 
 def replace_item(
-    evidence: Evidence, items: Sequence[PossibleCause], gone: PossibleCause | None
+    evidence: Evidence, items: Sequence[PossibleCause], gone: PossibleCause
 ) -> list[CauseSet]:
     """Return the sets in which every effect that is not among the `items` stands in the place of
-    `gone`, or beside them all, the best first; each effect once."""
+    `gone`, the best first; each effect once."""
     rest = [item for item in items if item is not gone]
     taken = {item.effect for item in items}
     sets = [(*rest, item) for item in evidence.items if item.effect not in taken]

@@ -23,8 +23,6 @@ class PursuedShapes(NamedTuple):
     items: tuple[PossibleCause, ...]
     sizes: tuple[float, ...]
     """of their columns, one after the other"""
-    gains: tuple[float, ...]
-    """the drop of chi-square that each made as it was added"""
 
 
 def pursue_shapes(evidence: Evidence, most: int) -> PursuedShapes:
@@ -33,7 +31,6 @@ def pursue_shapes(evidence: Evidence, most: int) -> PursuedShapes:
     M, h, first = evidence.project_out_small()
     shaped = [x for x in evidence.items if x.shape is not None and not x.shape.placed]
     chosen: list[PossibleCause] = []
-    gains: list[float] = []
     for _ in range(most):
         there = [c - first for item in chosen for c in item.columns]
         best: tuple[float, PossibleCause] | None = None
@@ -46,11 +43,10 @@ def pursue_shapes(evidence: Evidence, most: int) -> PursuedShapes:
                 best = max(best, (gain, item), key=lambda x: x[0]) if best else (gain, item)
         if best is None:
             break
-        gains.append(best[0])
         chosen.append(best[1])
     there = [c - first for item in chosen for c in item.columns]
     sizes = -np.linalg.solve(M[np.ix_(there, there)], h[there]) if there else np.zeros(0)
-    return PursuedShapes(tuple(chosen), tuple(sizes.tolist()), tuple(gains))
+    return PursuedShapes(tuple(chosen), tuple(sizes.tolist()))
 
 
 def _add(M: NDArray, h: NDArray, there: list[int], mine: list[int]) -> tuple[float, NDArray]:

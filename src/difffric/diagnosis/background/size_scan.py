@@ -1,4 +1,4 @@
-"""The size of an effect that cuts a push short, where all else is fitted up to the release.
+"""The size of an effect that cuts a push short, where the first contact is fitted already.
 
 Such an effect changes nothing until it sets in, and much at once: no derivative leads to it.
 """
@@ -62,9 +62,9 @@ def _place_best_size(task: EnsembleTask, at: Fits, effect: str, scales: Scales) 
 
 
 def _sum_squares(task: EnsembleTask, at: Fits, points: np.ndarray) -> np.ndarray:
-    """The squares (m,) of all residuals at each of the `points` (m, K)."""
+    """The squares (m,) of all residuals at each of the `points` (m, K); infinite where a push could
+    not be followed."""
     answers = ask_at(task, at, points)
-    # What cannot be followed is no number.
     left = (answers.residual.reshape(len(points), -1, 2, answers.residual.shape[-1])) ** 2
     squares = np.einsum("mnkb,k->m", left, at.spread[0] ** -2.0)
     return np.where(np.isfinite(squares), squares, np.inf)
