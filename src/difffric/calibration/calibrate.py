@@ -19,7 +19,7 @@ from difffric.calibration.recording_search import RecordingSearch
 from difffric.calibration.result import Fit, FitState
 from difffric.calibration.result_builder import build_fit
 from difffric.compute.precision import require_float64
-from difffric.errors import InputError
+from difffric.errors import InputError, NumericalError
 from difffric.estimation.coordinates import layout
 from difffric.estimation.descent import Model
 from difffric.estimation.stacked_data import slides_data, table_data
@@ -120,14 +120,19 @@ def refine_fit(setup: Setup, reduction: Reduction, worth: float = 0.0) -> Fit:
     """Fit recordings whose `reduction` is known, as `fit` does by default, from a set-up that is
     near the optimum already; a step that gains less than is `worth` it in chi-square is the last.
 
-    Raises `NumericalError` where the misfit at the set-up is not finite.
+    Where that leads nowhere, the search begins as `fit` does. Raises `NumericalError` where no
+    start gives a finite misfit.
     """
     wishes = _Wishes(None, ("mu_s",), False, False, False, False, None)
     task = _arrange(setup, reduction.pushes, wishes)
     task.notes.extend(describe_tracking(reduction.recordings, setup.rig.pusher.stroke))
     task.notes.extend(describe_latch(reduction))
     search = RecordingSearch(task.model, reduction, task.starts, silent, thorough=False, near=worth)
-    return build_fit(setup, reduction.pushes, reduction, *search.run(), task.notes)
+    try:
+        found = search.run()
+    except NumericalError:
+        found = replace(search, near=None).run()
+    return build_fit(setup, reduction.pushes, reduction, *found, task.notes)
 
 
 @dataclass(frozen=True)

@@ -157,9 +157,9 @@ def calibrate_plain(start: SearchStart, plain: Fits) -> Fit:
 
     Raises `NumericalError` where its misfit is not finite.
     """
-    if start.fit is not None or start.data.reduction is None:
-        assert start.fit is not None
+    if start.fit is not None:
         return start.fit
+    assert start.data.reduction is not None, "only recordings are fitted here first"
     task, own = start.data.task, start.own
     bare = replace(plain, extra=((),))
     near = replace(own, rig=extend_rig(own.rig, task, bare))

@@ -56,7 +56,7 @@ def start_plain_fit(data: DiagnosisData, guess: Fits) -> Fits:
         at = ensemble_refits.refit(
             some, forget_answers(at.pick(best)), _AT_EACH_HORIZON, tol=_WORTH
         )
-    return forget_answers(at)
+    return _end(task, at, guess)
 
 
 def _look_for_own(task: EnsembleTask, fits: Fits) -> Fits:
@@ -78,7 +78,7 @@ def fit_with_growing_horizon(
     """Return where the fit `at` (an ensemble of one) leads, horizon by horizon, and those of the
     `effects` that cut pushes short and were found beyond the first ones; `task` is that of the
     data, with what is assumed besides."""
-    at = _begin_anew(at)
+    guess, at = at, _begin_anew(at)
     *first, release = _list_horizons(data)
     for horizon in first:
         at = ensemble_refits.refit(
@@ -88,12 +88,18 @@ def fit_with_growing_horizon(
     at = ensemble_refits.refit(
         cut_at(task, release), forget_answers(at), _AT_EACH_HORIZON, tol=_WORTH
     )
-    return forget_answers(at), cutting
+    return _end(task, at, guess), cutting
 
 
 def _begin_anew(at: Fits) -> Fits:
     """The fits without answers, with a scatter of mu_s at which pushes may still differ."""
     return forget_answers(replace(at, scatter=np.maximum(at.scatter, _FIRST_SCATTER)))
+
+
+def _end(task: EnsembleTask, at: Fits, guess: Fits) -> Fits:
+    """The fits without answers; where the scatter is known it is again that of `guess`."""
+    scatter = at.scatter if task.estimate_scatter else guess.scatter
+    return forget_answers(replace(at, scatter=scatter))
 
 
 def forget_answers(fits: Fits) -> Fits:
