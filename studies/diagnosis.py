@@ -24,7 +24,7 @@ import numpy as np
 from studies import diagnosis_figures as figures
 from studies import runs
 from tests.hidden import case as cases
-from tests.hidden import random_case, strength, with_nuisances, write
+from tests.hidden import friction_of, random_case, strength, with_nuisances, write
 from tests.hidden.outsiders import TABLE as OUTSIDERS
 from tests.hidden.scaling import with_misfit
 from tests.reference.effect_parameters import NULLS
@@ -164,7 +164,7 @@ def run_case(group: str, i: int, keep: Path | None = None) -> dict:
         line["seconds"] = time.perf_counter() - began
     told = found.as_dict()
     told.pop("experiments")
-    away = np.abs(np.array(told.pop("mu_s")) - [push.mu_s for push in case.pushes])
+    away = np.abs(np.array(told.pop("mu_s")) - friction_of(case))
     within = float(np.mean(away <= _NINETY_FIVE * np.array(told.pop("mu_s_standard_error"))))
     return {**line, **told, "mu_s_within": within, "true_model": true_model(found, case)}
 
