@@ -137,6 +137,27 @@ def test_nearby_shapes_lie_between_the_neighbours_on_the_grid():
     assert list_nearby([replace(one, along=None)])[0].points == one.points
 
 
+def test_what_adds_a_force_explains_as_much_wherever_the_joint_fit_stands():
+    """mu_i N + F is the same for all pushes whatever F is: where F is less, mu_s is larger, and its
+    relative scatter smaller. No fit gains by that, and no comparison may say so."""
+    rng = np.random.default_rng(3)
+    mu_s = np.exp(0.05 * rng.normal(size=N))
+    slopes = np.ones((N, 2, 2)) * 1e3
+    measured = slopes[:, :, 0] * mu_s[:, None] + rng.normal(size=(N, 2))
+    task = make_task(slopes, measured, ("tilt.x",))
+    task.model.exponential = True  # type: ignore
+    small = SmallEffects(("tilt",), (1,), np.ones(1), np.ones(1), np.zeros(2))
+
+    def gain(force: float) -> float:
+        log = np.log(mu_s - force)
+        at = start(task, float(np.std(log)))
+        c, mu = np.array([[0.0, force]]), np.array([[log.mean()]])
+        at = replace(at, c=c, mu=mu, own=(log - log.mean())[None], extra=((1,),))
+        return float(Evidence(task, at, small, None, False).compare([[0]]).gain[0])
+
+    assert gain(-0.8) == pytest.approx(gain(0.0), abs=0.5)
+
+
 def test_errors_of_mu_s_are_those_of_the_dense_normal_distribution():
     task = draw(cause=1.0)[0]
     slopes = task.model.slopes
