@@ -32,9 +32,10 @@ _SCATTERS = np.geomspace(1.0, 0.03, 15)
 """Shares of the scatter without an effect that are tried beside it: a drift may explain nearly
 all of it."""
 OFF_NULL = {name: 1e-6 for name, (_, key) in KEYS.items() if key.inverse}
-OFF_NULL |= {"pusher_lag.tau_s": 5e-4}
-"""Coordinates near a null at which there is no derivative (of the inverse of an acceleration), or
-none that steps of finite length find (of a lag shorter than a step)."""
+OFF_NULL |= {"pusher_lag.tau_s": 5e-4, "initial_gap.gap_m": 1e-6}
+"""Coordinates near a null at which there is no derivative (of the inverse of an acceleration), none
+that steps of finite length find (of a lag shorter than a step), or another one (of a gap, without
+which the damper is there at once)."""
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,5 @@
-"""A rig whose answers are linear in everything, so that what statistics says of fits is exact; or in
-everything but log mu_s, as a force is."""
+"""A rig whose answers are linear in everything, so that what statistics says of fits is exact; or
+in everything but log mu_s, as a force is."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ _MOST_WAVES = 60
 """Wavelengths at most."""
 _PER_WAY = 2.5
 """Wavelengths that a median way tells apart, for each turn of a wave in it."""
-_AMPLITUDE = 0.02
+_AMPLITUDE = 0.002
 """Amplitude of a shape whose change is taken: so small that it is linear."""
 _PLACES = 14
 """Places within the shortest way, and again as many beyond it."""

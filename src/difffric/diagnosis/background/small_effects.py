@@ -49,6 +49,8 @@ class SmallEffects:
     """(p,) the steps at which it has a size that one may meet"""
     null: NDArray
     """(K,) all coordinates where nothing moves them"""
+    start: NDArray
+    """(K,) the same with those a little beside their nulls that have no derivative there"""
 
     def assume(
         self, task: EnsembleTask, share: float, causes: Collection[int] = ()
@@ -68,7 +70,7 @@ class SmallEffects:
         extra = tuple((*own, *(i for i in self.index if i not in own)) for own in fits.extra)
         c = fits.c.copy()
         at_null = [i for i in self.index if not fits.c[:, i].any()]
-        c[:, at_null] = self.null[at_null]
+        c[:, at_null] = self.start[at_null]
         return replace(fits, c=c, extra=extra, gram=None, residual=None, damping=None)
 
 
@@ -98,8 +100,8 @@ def choose_small_effects(task: EnsembleTask, at: Fits, effects: Sequence[str]) -
     points[np.arange(len(index)), index] += step
     change = measure_change(observe_points(task, at, points)) / step
     unit = np.minimum(_LARGEST * typical, UNIT_CHANGE / np.maximum(change, 1e-12))
-    null = step_off_null(task, at, index)[0]
-    return SmallEffects(tuple(chosen), tuple(index), unit, typical, null)
+    start = step_off_null(task, at, index)[0]
+    return SmallEffects(tuple(chosen), tuple(index), unit, typical, at.c[0].copy(), start)
 
 
 def observe_points(task: EnsembleTask, at: Fits, points: NDArray) -> NDArray:
