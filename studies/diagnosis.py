@@ -174,10 +174,12 @@ def _exponent(case: cases.Case) -> float:
 
 
 def true_model(found, case: cases.Case) -> dict | None:
-    """The error on held-out pushes of the model that made the data, fitted from the truth, and by
-    how much it beats the diagnosis's own in -2 log likelihood. None: not one of the catalogue's,
-    or not to be followed."""
+    """The error on held-out pushes of the model that made the data, fitted from the truth, by how
+    much it beats the diagnosis's own in -2 log likelihood, and how probable it is that chance beats
+    the plain model by as much as it does. None: not one of the catalogue's, or not to be
+    followed."""
     from difffric.diagnosis.cross_validation import assign_folds
+    from difffric.diagnosis.score_test import compute_p_value
     from difffric.estimation import ensemble as en
     from difffric.estimation import ensemble_refits, held_out
     from difffric.rig.catalogue import numbers_of
@@ -209,10 +211,13 @@ def true_model(found, case: cases.Case) -> dict | None:
         return None
     at = ensemble_refits.refit(task, at, 30)
     folds = assign_folds(np.asarray(task.model.pushes.velocity), False)
+    drop = float(en.criterion(task, plain)[0] - en.criterion(task, at)[0])
+    effect, looked_for = next(iter(case.effects)), len(state.data.looked_for)
     squares = held_out.predict_held_out(task, replace(at, spread=base.spread), folds).squares
     return {
         "heldout_nrmse": float(np.sqrt(squares.sum() / task.counts.sum())),
         "better_by": float(en.criterion(task, base)[0] - en.criterion(task, at)[0]),
+        "p_value": compute_p_value(effect, drop, looked_for),
     }
 
 
