@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from studies import diagnosis_figures as figures
-from studies import runs
+from studies import reliability, runs
 from tests.hidden import case as cases
 from tests.hidden import friction_of, random_case, strength, with_nuisances, write
 from tests.hidden.outsiders import TABLE as OUTSIDERS
@@ -31,6 +31,7 @@ from tests.reference.effect_parameters import NULLS
 
 PAGE = runs.ROOT / "docs" / "study.md"
 IMAGE = runs.ROOT / "docs" / "images" / "diagnosis_confusion.png"
+RELIABILITY = IMAGE.with_name("diagnosis_reliability.png")
 EFFECTS = tuple(NULLS)
 AT_NO_STRENGTH = ("normal_force", "pusher_duration")
 """A normal force needs a second mass to be seen; a duration has no small size: it begins to show
@@ -234,6 +235,7 @@ def main(words: Sequence[str] | None = None) -> int:
     print(text)
     if shard == (1, 1):
         figures.confusion(everything, IMAGE)
+        reliability.draw(figures.with_one(everything), RELIABILITY)
         runs.write_into(asked.page, text, "diagnoses")
     return 0
 
