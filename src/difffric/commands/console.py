@@ -47,7 +47,9 @@ def show_progress(quiet: bool) -> Iterator[ShownProgress]:
 
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     console = Console(stderr=True)
-    shown = Progress(*columns, console=console, transient=True, disable=quiet)
+    shown = Progress(
+        *columns, console=console, transient=True, disable=quiet or not console.is_terminal
+    )
     with keep_timings() as timings, shown as bar:
         task = bar.add_task("starting", total=1.0)
         yield ShownProgress(

@@ -19,7 +19,16 @@ from difffric.commands.fleet_options import (
     check_setup,
     is_fleet,
 )
-from difffric.commands.options import Channel, DataMass, Out, Quiet, SkipBad, read_setup_for
+from difffric.commands.options import (
+    Channel,
+    DataMass,
+    Out,
+    Quiet,
+    SkipBad,
+    TrustUnits,
+    load_data,
+    read_setup_for,
+)
 from difffric.errors import InputError
 
 
@@ -35,6 +44,7 @@ def diagnose(
     use_data_mass: DataMass = False,
     skip_bad: SkipBad = False,
     channel: Channel = None,
+    trust_units: TrustUnits = False,
     workers: Workers = None,
     scheduler: Scheduler = None,
     out: Out = None,
@@ -50,7 +60,7 @@ def diagnose(
     file = check_setup(setup, data)
     check_setup_stays(out, file)
     rig = read_setup_for(file, channel)
-    loaded = df.load(data, skip_bad=skip_bad, channels=rig.channels)
+    loaded = load_data(data, rig, skip_bad, trust_units)
     with show_progress(quiet) as tell:
         found = df.diagnose(
             rig,
