@@ -166,8 +166,9 @@ def _bad_samples(push: Recording, sensor: ForceSensor, keep_saturated: bool) -> 
     problems = []
     for channel in (push.position, push.pusher, push.force):
         try:
-            if channel is not None and (value := _find_only_value(channel)) is not None:
-                problems.append(_describe_constant(push, channel, value))
+            value = None if channel is None else find_only_value(channel)
+            if channel is not None and value is not None and (value or channel is not push.force):
+                problems.append(describe_constant(push, channel, value))
             elif channel is push.force and channel is not None and not keep_saturated:
                 level = find_saturation(channel, float(sensor.range))
                 if level is not None:
@@ -180,7 +181,7 @@ def _bad_samples(push: Recording, sensor: ForceSensor, keep_saturated: bool) -> 
     return problems
 
 
-def _find_only_value(channel: Channel) -> float | None:
+def find_only_value(channel: Channel) -> float | None:
     """The value of all samples of a channel, or None where they differ; all are read."""
     low, high = math.inf, -math.inf
     for samples in channel.chunks():
@@ -189,7 +190,7 @@ def _find_only_value(channel: Channel) -> float | None:
     return low + 0.0 if low == high and channel.n >= _FEWEST_SAMPLES else None  # no -0
 
 
-def _describe_constant(push: Recording, channel: Channel, value: float) -> str:
+def describe_constant(push: Recording, channel: Channel, value: float) -> str:
     """What to say of a channel that stays at one value."""
     if channel is push.force:
         return f"force is {value:.6g} {channel.unit} throughout: is the sensor connected?"

@@ -21,7 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.errors import InputError
-from difffric.measurements.checks import refuse_constant_columns
+from difffric.measurements.checks import (
+    describe_constant,
+    find_only_value,
+    refuse_constant_columns,
+)
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
 from difffric.measurements.reduction.reduce import reduce_recordings
@@ -113,6 +117,7 @@ def refuse_wrong_units(data: Pushes | Recordings, rig: Rig) -> tuple[str, ...]:
     source = data.source
     if isinstance(data, Recordings):
         few = data.select(np.unique(np.linspace(0, len(data) - 1, _MOST_READ).round().astype(int)))
+        _refuse_no_force(few, source)
         try:
             reduction = reduce_recordings(
                 few.in_newtons(rig.force_sensor.sensitivity), skip_bad=True
@@ -129,6 +134,17 @@ def refuse_wrong_units(data: Pushes | Recordings, rig: Rig) -> tuple[str, ...]:
         override = "(--trust-units takes them as they are)"
         raise InputError("\n".join(f"{where}{text} {override}" for text in impossible))
     return tuple(x.text for x in found)
+
+
+def _refuse_no_force(data: Recordings, source: str) -> None:
+    """Raise `InputError` where the force stays at one value in every recording: a push or two
+    without a force may be, a file of them has no sensor."""
+    values = [None if r.force is None else find_only_value(r.force) for r in data]
+    if all(value is not None for value in values):
+        (first, *_), (value, *_) = data, values
+        assert first.force is not None and value is not None
+        words = describe_constant(first, first.force, value)
+        raise InputError(f"{source}: {words} (in {len(data)} of {len(data)} pushes looked at)")
 
 
 def find_wrong_units(data: Pushes, rig: Rig, *, of_recordings: bool = False) -> list[Suspicion]:

@@ -141,12 +141,24 @@ def test_recordings_are_held_to_the_same():
         refuse_wrong_units(change_channels(force=(1e-3, "N")), RIG)
 
 
-@pytest.mark.parametrize(("name", "unit"), [("position", "m"), ("force", "N")])
-def test_a_channel_that_stays_at_one_value_is_told_once_for_all_pushes(name, unit):
-    with pytest.raises(InputError) as caught:
-        check_data(change_channels(**{name: (0.0, unit)}), RIG)
-    (line,) = str(caught.value).splitlines()
-    assert f"{name} is 0" in line and line.endswith("(in 14 of 14 pushes)")
+def test_a_channel_that_stays_at_one_value_is_told_once_for_all_pushes():
+    for data, expected in (
+        (change_channels(position=(0.0, "m")), "position is 0 um"),
+        (set_force(3.5), "force is 3.5 N"),
+    ):
+        with pytest.raises(InputError) as caught:
+            check_data(data, RIG)
+        (line,) = str(caught.value).splitlines()
+        assert expected in line and line.endswith("(in 14 of 14 pushes)")
+    with pytest.raises(InputError, match="force is 0 N throughout: is the sensor connected"):
+        refuse_wrong_units(set_force(0.0), RIG)
+
+
+def set_force(value):
+    """The recordings with a force that stays at a value."""
+    samples = np.full(4000, value)
+    force = Channel.of(samples, 1e-4, -0.02, "N")
+    return Recordings(tuple(replace(push, force=force) for push in RECORDINGS), "pushes.tdms")
 
 
 def test_a_channel_that_moves_by_one_step_is_not_constant():
