@@ -141,6 +141,8 @@ def prepare_jax() -> None:
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    # What comes of numbers at the edge of all floats is told in words, or null with a reason.
+    warnings.filterwarnings("ignore", category=RuntimeWarning)
     # An entry that another process is just writing: the program is compiled here.
     warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
     # One small program at a time: handing it to another thread costs more than running it.
