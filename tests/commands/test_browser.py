@@ -18,6 +18,7 @@ SETUP, PUSHES, RING = EXAMPLES / "setup.toml", EXAMPLES / "pushes.csv", EXAMPLES
 COMMANDS = {
     "simulate": (SETUP, "--velocity-mm-min", 3000),
     "family": (SETUP,),
+    "check": (PUSHES, "--setup", SETUP),
     "fit": (PUSHES, "--setup", SETUP),
     "identify": (PUSHES, "--setup", "fit/setup.toml"),
     "acquire": ("--simulate", SETUP, "--velocity-mm-min", 3000, "--velocity-mm-min", 5000),

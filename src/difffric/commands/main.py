@@ -25,6 +25,8 @@ COMMANDS = {
     "family": "The curve families over speed and mu_s, the fits (3) and (5), their inverses (4), "
     "(6).",
     "acquire": "Record pushes into pushes.tdms, in --out or here, and identify them as they come.",
+    "check": "What measured pushes hold, before a fit: traces, landmarks, noise, what is missing, "
+    "what they can determine.",
     "fit": "Calibrate a part or rig on measured pushes: parameters, errors, what stays open.",
     "identify": "mu_s of each push from force, distance, (7), the optimal combination, the "
     "recording; of a folder or a pattern of files, a fleet's: one Parquet data set.",
@@ -43,6 +45,9 @@ COMMANDS = {
     "answers.",
 }
 """Each command, and what `--help` says it does."""
+
+FIRST_STEPS = ("check",)
+"""Those that lie in the folder `first_steps`."""
 
 _GARBAGE = 100_000
 """Objects made between two collections of garbage: what is imported and compiled stays to the end,
@@ -76,7 +81,8 @@ class LazyGroup(TyperGroup):
 
 def load_command(name: str) -> Any:
     """Import a command's module and return the command with its options."""
-    function = getattr(importlib.import_module(f"difffric.commands.{name}"), name)
+    folder = "first_steps." if name in FIRST_STEPS else ""
+    function = getattr(importlib.import_module(f"difffric.commands.{folder}{name}"), name)
     alone = typer.Typer(**_LIKE_ALL)
     alone.command(name, help=COMMANDS[name])(function)
     return typer.main.get_command(alone)
