@@ -25,6 +25,7 @@ COMMANDS = {
     "family": "The curve families over speed and mu_s, the fits (3) and (5), their inverses (4), "
     "(6).",
     "acquire": "Record pushes into pushes.tdms, in --out or here, and identify them as they come.",
+    "init": "A first, commented setup.toml for a rig, with k and b guessed from its pushes.",
     "check": "What measured pushes hold, before a fit: traces, landmarks, noise, what is missing, "
     "what they can determine.",
     "fit": "Calibrate a part or rig on measured pushes: parameters, errors, what stays open.",
@@ -46,7 +47,7 @@ COMMANDS = {
 }
 """Each command, and what `--help` says it does."""
 
-FIRST_STEPS = ("check",)
+FIRST_STEPS = ("check", "init")
 """Those that lie in the folder `first_steps`."""
 
 _GARBAGE = 100_000

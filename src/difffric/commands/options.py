@@ -53,7 +53,16 @@ def read_setup_for(setup: Path, channel: list[str] | None) -> df.Setup:
 
     Raises `InputError` where the file is wrong, and for a `--channel` without its two names.
     """
-    read, given = df.read_setup(setup), dict[str, str]()
+    read, given = df.read_setup(setup), parse_channels(channel)
+    return replace(read, channels={**read.channels, **given}) if given else read
+
+
+def parse_channels(channel: list[str] | None) -> dict[str, str]:
+    """Return the file's names by ours, as `--channel` says them.
+
+    Raises `InputError` for one without its two names, and for one given twice.
+    """
+    given: dict[str, str] = {}
     for text in channel or []:
         ours, equals, theirs = text.partition("=")
         if not (equals and ours.strip() and theirs.strip()):
@@ -61,7 +70,7 @@ def read_setup_for(setup: Path, channel: list[str] | None) -> df.Setup:
         if ours.strip() in given:
             raise InputError(f"--channel {ours.strip()}: given twice, expected once")
         given[ours.strip()] = theirs.strip()
-    return replace(read, channels={**read.channels, **given}) if given else read
+    return given
 
 
 def load_data(
