@@ -97,7 +97,10 @@ def write_first_setup(
             ("resolution_um", f"{said.resolution_um:.6g}", "from its data sheet"),
             *_write_noise("noise_um", noise.get("position"), to_um(1.0)),
         ],
-        "files": [(key, json.dumps(name), "what the files call it") for key, name in names.items()],
+        "files": [
+            (key, json.dumps(name, ensure_ascii=False), "what the files call it")
+            for key, name in names.items()
+        ],
     }
     text = _format(lines, data)
     parse_setup(text)
