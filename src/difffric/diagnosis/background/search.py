@@ -233,7 +233,8 @@ def free_causes(
     """Return the task of fits in which the `items` have any size, and the other small effects
     scatter as the evidence says."""
     share = max(evidence.estimate_share(items), _LEAST_SHARE)
-    causes = {small.index[item.columns[0]] for item in items if item.shape is None}
+    free = {item.effect for item in items}
+    causes = {i for i, effect in zip(small.index, small.effects, strict=True) if effect in free}
     return small.assume(task, share, causes)
 
 
