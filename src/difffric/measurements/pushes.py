@@ -66,6 +66,8 @@ class Pushes:
     """the file they come from"""
     skipped: tuple[str, ...] = ()
     """what of the file was left out, a line each: only where that was asked for"""
+    notes: tuple[str, ...] = ()
+    """what was converted on reading, or found otherwise than usual, a line each"""
 
     def __post_init__(self):
         first = self.release_velocity if self.velocity is None else self.velocity
@@ -109,5 +111,5 @@ class Pushes:
         return replace(self, **changed, condition=tuple(self.condition[i] for i in index))
 
 
-COLUMNS = tuple(f.name for f in fields(Pushes) if f.name not in ("source", "skipped"))
+COLUMNS = tuple(f.name for f in fields(Pushes) if f.name not in ("source", "skipped", "notes"))
 """The fields that have an entry a push."""

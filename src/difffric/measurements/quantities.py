@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 
+from difffric.units import Unit, find_unit, list_units
 from difffric.value_ranges import ANY, NOT_NEGATIVE, POSITIVE, AbstractQuantity
 
 MANY = 10  # problems that are told one by one
@@ -15,37 +16,63 @@ LONGEST = 600  # characters of a line
 
 
 @dataclass(frozen=True)
-class PushQuantity(AbstractQuantity):
-    """A quantity of a push, as tables and recordings name it."""
+class MeasuredQuantity(AbstractQuantity):
+    """A measured quantity, as tables and recordings name it."""
+
+    also: tuple[str, ...] = ()
+    """what else its name without the unit may be"""
 
     @property
     def stem(self) -> str:
         """The name without its unit."""
-        return self.key.removesuffix(f"_{self.unit_name}")
+        return split_unit(self.key)[0]
+
+    @property
+    def own_unit(self) -> Unit | None:
+        """The unit that the name has; None: a plain number or a text."""
+        return split_unit(self.key)[1]
 
     @property
     def unit_name(self) -> str:
         """The unit as the name has it; empty: a plain number."""
-        units = ("mm_min", "um", "mm", "kg", "N", "s")
-        return next((unit for unit in units if self.key.endswith(f"_{unit}")), "")
+        return self.key.removeprefix(self.stem).removeprefix("_")
+
+
+def split_unit(name: str) -> tuple[str, Unit | None]:
+    """(a name without its unit, the unit): of `velocity_mm_min`, `peak force kN`, `v_m_per_s`.
+    The unit is None where the name ends with none."""
+    words = re.split(r"[_\s]+", name.strip())
+    for n in (3, 2, 1):
+        tail = words[-n:]
+        if len(words) <= n or (n == 3 and tail.pop(1) != "per"):
+            continue
+        unit = find_unit("/".join(tail))
+        if unit is not None:
+            rest = words[:-n]
+            if len(rest) > 1 and rest[-1].lower() == "in":  # velocity in mm/min
+                rest.pop()
+            return "_".join(rest), unit
+    return name, None
 
 
 _LENGTH, _SMALL, _SPEED = ("0.001", 1), ("0.000001", 1), ("0.001", 60)
 QUANTITIES = (
-    PushQuantity("velocity_mm_min", "velocity", POSITIVE, *_SPEED),
-    PushQuantity("peak_force_N", "peak_force", POSITIVE),
-    PushQuantity("sliding_distance_um", "sliding_distance", POSITIVE, *_SMALL),
-    PushQuantity("mass_kg", "mass", POSITIVE),
-    PushQuantity("stroke_mm", "stroke", POSITIVE, *_LENGTH),
-    PushQuantity("condition", "condition"),
-    PushQuantity("mu_s_gauge", "mu_s_gauge", POSITIVE),
-    PushQuantity("trial", "trial", ANY),
-    PushQuantity("order", "order", ANY),
-    PushQuantity("rest_before_s", "rest_before", NOT_NEGATIVE),
-    PushQuantity("peak_force_se_N", "peak_force_se", POSITIVE),
-    PushQuantity("sliding_distance_se_um", "sliding_distance_se", POSITIVE, *_SMALL),
-    PushQuantity("release_velocity_mm_min", "release_velocity", POSITIVE, *_SPEED),
-    PushQuantity("release_velocity_se_mm_min", "release_velocity_se", POSITIVE, *_SPEED),
+    MeasuredQuantity("velocity_mm_min", "velocity", POSITIVE, *_SPEED, also=("v", "speed")),
+    MeasuredQuantity("peak_force_N", "peak_force", POSITIVE, also=("F_p", "force")),
+    MeasuredQuantity(
+        "sliding_distance_um", "sliding_distance", POSITIVE, *_SMALL, also=("d", "distance")
+    ),
+    MeasuredQuantity("mass_kg", "mass", POSITIVE, also=("m",)),
+    MeasuredQuantity("stroke_mm", "stroke", POSITIVE, *_LENGTH),
+    MeasuredQuantity("condition", "condition"),
+    MeasuredQuantity("mu_s_gauge", "mu_s_gauge", POSITIVE),
+    MeasuredQuantity("trial", "trial", ANY),
+    MeasuredQuantity("order", "order", ANY),
+    MeasuredQuantity("rest_before_s", "rest_before", NOT_NEGATIVE),
+    MeasuredQuantity("peak_force_se_N", "peak_force_se", POSITIVE),
+    MeasuredQuantity("sliding_distance_se_um", "sliding_distance_se", POSITIVE, *_SMALL),
+    MeasuredQuantity("release_velocity_mm_min", "release_velocity", POSITIVE, *_SPEED),
+    MeasuredQuantity("release_velocity_se_mm_min", "release_velocity_se", POSITIVE, *_SPEED),
 )
 """All that a table may say, in its order."""
 
@@ -61,7 +88,9 @@ def parse_decimal(text: str) -> Decimal | None:
     return Decimal(text) if _NUMBER.fullmatch(text) else None
 
 
-def find_meant(name: str, known: Iterable[PushQuantity], alike: float = 0.6) -> PushQuantity | None:
+def find_meant(
+    name: str, known: Iterable[MeasuredQuantity], alike: float = 0.6
+) -> MeasuredQuantity | None:
     """The quantity that an unknown name seems to mean, in a wrong unit or spelling. `alike`: how
     much two names must have in common, of 1."""
     known = list(known)
@@ -75,13 +104,14 @@ def find_meant(name: str, known: Iterable[PushQuantity], alike: float = 0.6) -> 
     return next((q for q in known if [q.key.lower()] == close), None)
 
 
-def describe_unknown(name: str, known: Sequence[PushQuantity]) -> str:
+def describe_unknown(name: str, known: Sequence[MeasuredQuantity]) -> str:
     """What to say of a name that the file cannot have."""
     q = find_meant(name, known)
     if q is None:
         return f"unknown, known: {', '.join(q.key for q in known)}"
-    in_unit = f" (in {q.unit_name.replace('mm_min', 'mm/min')})" if q.unit_name else ""
-    return f"unknown, expected {q.key}{in_unit}?"
+    if q.own_unit is None:
+        return f"unknown, expected {q.key}?"
+    return f"unknown, expected {q.key}, or {q.stem} [unit] with {list_units(q.own_unit.of)}"
 
 
 def shorten_to_line(problem: str) -> str:

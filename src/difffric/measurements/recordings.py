@@ -99,6 +99,8 @@ class Recordings(Sequence[Recording]):
     """the file they come from"""
     skipped: tuple[str, ...] = ()
     """what of the file was left out, a line each: only where that was asked for"""
+    notes: tuple[str, ...] = ()
+    """what was converted on reading, or found otherwise than usual, a line each"""
 
     def __post_init__(self):
         if not self.pushes:

@@ -1,6 +1,9 @@
 """The formats of measured data: tables (.csv) and recordings (.tdms).
 
 - `table_csv` reads and writes `Pushes`, a row a push.
+- `named_columns` reads any delimited text as named columns in SI; `delimited_text` finds encoding,
+  separators and header, `decimal_marks` points and commas. `measurements.headings` knows names and
+  units.
 - `tdms_reader` reads `Recordings`, a group a push, a channel a signal; `tdms_segments` walks the
   file's structure, as far as it is whole, and `tdms_samples` reads samples when asked for.
 - `tdms_writer` writes recordings whole, or streams them while they are recorded.

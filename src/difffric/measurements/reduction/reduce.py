@@ -275,6 +275,7 @@ def reduce_recordings(recordings: Recordings, *, skip_bad: bool = False) -> Redu
         condition=tuple(r.condition for r in kept),
         source=recordings.source,
         skipped=kept.skipped,
+        notes=kept.notes,
         **{name: column(name, kept) for name in _COPIED},
     )
     return Reduction(kept, pushes, details)
