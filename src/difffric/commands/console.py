@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -76,12 +77,19 @@ def print_and_write(
     out: Path | None,
     files: Mapping[str, bytes] | None = None,
     timings: Timings | None = None,
+    notes: Sequence[str] = (),
 ) -> None:
     """Print the report's summary and tables; write the folder where one was asked for.
+
+    `notes`: what was converted as the data were read; they stand first, and in result.json.
 
     `files` are written beside result.json, report.html and the figures; `timings`, where there are
     any, stand in result.json.
     """
+    if notes:
+        told = [f"Data: {note}." for note in dict.fromkeys(notes)]
+        report = replace(report, summary=[*told, *report.summary])
+        answer = {**answer, "data_notes": [*dict.fromkeys(notes)]}
     console = Console(highlight=False, markup=False)
     own_width = console.width
     for line in report.summary:

@@ -19,7 +19,7 @@ from difffric.commands.fleet_options import (
     check_setup,
     is_fleet,
 )
-from difffric.commands.options import DataMass, Out, Quiet, SkipBad
+from difffric.commands.options import Channel, DataMass, Out, Quiet, SkipBad, read_setup_for
 from difffric.errors import InputError
 
 
@@ -34,6 +34,7 @@ def diagnose(
     ] = "push",
     use_data_mass: DataMass = False,
     skip_bad: SkipBad = False,
+    channel: Channel = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
     out: Out = None,
@@ -48,7 +49,8 @@ def diagnose(
         return _diagnose_fleet(data, setup, workers, scheduler, out, quiet, options)
     file = check_setup(setup, data)
     check_setup_stays(out, file)
-    rig, loaded = df.read_setup(file), df.load(data, skip_bad=skip_bad)
+    rig = read_setup_for(file, channel)
+    loaded = df.load(data, skip_bad=skip_bad, channels=rig.channels)
     with show_progress(quiet) as tell:
         found = df.diagnose(
             rig,
@@ -62,7 +64,7 @@ def diagnose(
         tell("drawing", 0.99)
         report = reports.diagnose.report_diagnosis(found, pictures=out is not None)
         files = None if out is None else {"setup.toml": df.rig.format_setup(found.setup).encode()}
-    print_and_write(report, found.as_dict(), out, files, tell.timings)
+    print_and_write(report, found.as_dict(), out, files, tell.timings, loaded.notes)
 
 
 def _diagnose_fleet(

@@ -9,7 +9,16 @@ import typer
 import difffric as df
 from difffric.commands import reports
 from difffric.commands.console import check_out, check_setup_stays, print_and_write, show_progress
-from difffric.commands.options import Data, DataMass, Out, Quiet, SetupOption, SkipBad
+from difffric.commands.options import (
+    Channel,
+    Data,
+    DataMass,
+    Out,
+    Quiet,
+    SetupOption,
+    SkipBad,
+    read_setup_for,
+)
 from difffric.errors import InputError
 
 
@@ -34,6 +43,7 @@ def fit(
     ] = False,
     use_data_mass: DataMass = False,
     skip_bad: SkipBad = False,
+    channel: Channel = None,
     one_start: Annotated[
         bool, typer.Option("--one-start", help="search from the set-up's values only")
     ] = False,
@@ -49,7 +59,8 @@ def fit(
     """Calibrate on the data and report parameters, errors and what stays open."""
     check_out(out)
     check_setup_stays(out, setup)
-    rig, loaded = df.read_setup(setup), df.load(data, skip_bad=skip_bad)
+    rig = read_setup_for(setup, channel)
+    loaded = df.load(data, skip_bad=skip_bad, channels=rig.channels)
     if robust and isinstance(loaded, df.Recordings):
         raise InputError(
             f"--robust: {data}: expected a table; recordings are fitted sample by sample"
@@ -78,4 +89,4 @@ def fit(
             if out is None
             else {"setup.toml": df.rig.format_setup(found.fitted_setup).encode()}
         )
-    print_and_write(report, answer.as_dict(), out, files, tell.timings)
+    print_and_write(report, answer.as_dict(), out, files, tell.timings, loaded.notes)

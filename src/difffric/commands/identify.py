@@ -16,7 +16,7 @@ from difffric.commands.fleet_options import (
     check_setup,
     is_fleet,
 )
-from difffric.commands.options import DataMass, Out, Quiet, SkipBad
+from difffric.commands.options import Channel, DataMass, Out, Quiet, SkipBad, read_setup_for
 
 
 def identify(
@@ -24,6 +24,7 @@ def identify(
     setup: FleetSetup = None,
     use_data_mass: DataMass = False,
     skip_bad: SkipBad = False,
+    channel: Channel = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
     out: Out = None,
@@ -33,12 +34,13 @@ def identify(
     check_out(out)
     if is_fleet(data, workers, scheduler):
         return _identify_fleet(data, setup, use_data_mass, workers, scheduler, out, quiet)
-    rig, loaded = df.read_setup(check_setup(setup, data)), df.load(data, skip_bad=skip_bad)
+    rig = read_setup_for(check_setup(setup, data), channel)
+    loaded = df.load(data, skip_bad=skip_bad, channels=rig.channels)
     with show_progress(quiet) as tell:
         found = df.identify(rig, loaded, use_data_mass=use_data_mass, skip_bad=skip_bad, tell=tell)
     answer = reports.identify.describe_friction(found, rig.rig)
     report = reports.identify.report_friction(found, answer, loaded, out is not None)
-    print_and_write(report, answer, out, timings=tell.timings)
+    print_and_write(report, answer, out, timings=tell.timings, notes=loaded.notes)
 
 
 def _identify_fleet(

@@ -12,11 +12,13 @@ import difffric as df
 from difffric.commands import reports
 from difffric.commands.console import check_out, print_and_write, show_progress
 from difffric.commands.options import (
+    Channel,
     DataMass,
     Out,
     Quiet,
     SetupOption,
     SkipBad,
+    read_setup_for,
     require_positive,
 )
 from difffric.errors import InputError
@@ -41,6 +43,7 @@ def monitor(
     ] = None,
     use_data_mass: DataMass = False,
     skip_bad: SkipBad = False,
+    channel: Channel = None,
     out: Out = None,
     quiet: Quiet = False,
 ) -> None:
@@ -49,7 +52,7 @@ def monitor(
     require_positive("--idle-s", idle_s)
     if follow and len(data) != 1:
         raise InputError(f"--follow: expected one .tdms, got {len(data)} files")
-    feed = df.monitoring.feed.Feed(df.read_setup(setup), arl=arl, state=state)
+    feed = df.monitoring.feed.Feed(read_setup_for(setup, channel), arl=arl, state=state)
     with show_progress(quiet) as tell:
         if follow:
             feed.on_push = reports.monitor.make_teller(feed)
@@ -61,6 +64,6 @@ def monitor(
         alarms = reports.monitor.explain_alarms(feed.monitor)
         answer = reports.monitor.describe_monitor(feed, alarms)
         report = reports.monitor.report_monitor(feed, answer, alarms, pictures=out is not None)
-    print_and_write(report, answer, out)
+    print_and_write(report, answer, out, notes=feed.notes)
     if reports.monitor.find_new_alarms(feed):
         raise typer.Exit(reports.monitor.ALARM)

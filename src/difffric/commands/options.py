@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,6 +23,13 @@ SetupOption = Annotated[
 DataMass = Annotated[
     bool, typer.Option("--use-data-mass", help="masses may contradict the set-up's")
 ]
+Channel = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="OURS=THEIRS",
+        help="what the file calls a column or channel of ours, once each: force=Kraft",
+    ),
+]
 SkipBad = Annotated[bool, typer.Option("--skip-bad", help="leave out what cannot be used")]
 Out = Annotated[Path | None, typer.Option(help="folder for result.json, report.html, figures")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="no progress on standard error")]
@@ -35,6 +43,22 @@ def require_positive(name: str, value: float | None) -> float | None:
     if value is not None and not 0 < value < float("inf"):
         raise InputError(f"{name}: expected a number > 0, got {value:g}")
     return value
+
+
+def read_setup_for(setup: Path, channel: list[str] | None) -> df.Setup:
+    """Read a set-up; what `--channel` says counts before its `[files]`.
+
+    Raises `InputError` where the file is wrong, and for a `--channel` without its two names.
+    """
+    read, given = df.read_setup(setup), dict[str, str]()
+    for text in channel or []:
+        ours, equals, theirs = text.partition("=")
+        if not (equals and ours.strip() and theirs.strip()):
+            raise InputError(f"--channel {text}: expected OURS=THEIRS, such as force=Kraft")
+        if ours.strip() in given:
+            raise InputError(f"--channel {ours.strip()}: given twice, expected once")
+        given[ours.strip()] = theirs.strip()
+    return replace(read, channels={**read.channels, **given}) if given else read
 
 
 def load_rig(

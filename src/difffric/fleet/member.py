@@ -100,7 +100,7 @@ def examine(rig: Member) -> str | None:
     """
     jax.config.update("jax_enable_x64", True)  # a worker's own process has not
     try:
-        some = sample(rig.sources)
+        some = sample(rig.sources, channels=rig.setup.channels)
         found = diagnose(rig.setup, some.data, skip_bad=True, **dict(rig.options))
     except Exception as error:  # whatever it is, the other rigs are to have their answers
         return _word_reason(error)
@@ -171,7 +171,7 @@ def ask(question: Question) -> str | None:
     jax.config.update("jax_enable_x64", True)
     rig = question.rig
     try:
-        some = sample(rig.sources)
+        some = sample(rig.sources, channels=rig.setup.channels)
         extended = read_setup(Path(rig.folder) / SETUP)
         mass = dict(rig.options).get("use_data_mass", False)
         start = prepare_start(extended, some.data, silent, use_data_mass=mass, skip_bad=True)

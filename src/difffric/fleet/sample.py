@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -32,12 +32,14 @@ class Sample:
     """what was left out, and why"""
 
 
-def sample(sources: Sequence[ArchiveFile], most: int = MOST) -> Sample:
+def sample(
+    sources: Sequence[ArchiveFile], most: int = MOST, channels: Mapping[str, str] | None = None
+) -> Sample:
     """Choose at most `most` pushes of one rig's files, the same ones each time.
 
     A diagnosis takes one kind of data: recordings where there are any, else tables. Of many files
     those evenly spread over their dates are opened; of many pushes those evenly spread over time at
-    each speed are kept, the speeds in turn.
+    each speed are kept, the speeds in turn. `channels`: what the files call what we call otherwise.
 
     Raises `InputError` where no file can be used.
     """
@@ -53,7 +55,7 @@ def sample(sources: Sequence[ArchiveFile], most: int = MOST) -> Sample:
     parts, problems = [], []
     for source in opened:
         try:
-            part: Any = load(source.path, skip_bad=True)
+            part: Any = load(source.path, skip_bad=True, channels=channels)
         except InputError as error:
             problems.append(f"{source.name}: {' '.join(str(error).split())}")
             continue

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from difffric.errors import InputError
 from difffric.measurements.pushes import Pushes
-from difffric.measurements.quantities import join_problems, shorten_to_line
+from difffric.measurements.quantities import gather_alike, join_problems, shorten_to_line
 from difffric.measurements.recordings import Channel, Recording, Recordings
 from difffric.rig.rig import Rig
 from difffric.rig.sensors import ForceSensor
@@ -39,7 +39,8 @@ def check_data(
     Recordings are read through once, by chunks; samples that are not finite are found so. With
     `skip_bad` pushes that fail are left out and told in `.skipped`.
 
-    Raises `InputError` naming the pushes that fail, or where none is left.
+    Raises `InputError` naming the pushes that fail, what is alike once with their number; and where
+    none is left.
     """
     problems: dict[int, list[str]] = {}
     if not use_data_mass:
@@ -55,10 +56,11 @@ def check_data(
         data = data.in_newtons(rig.force_sensor.sensitivity)
         for i, push in enumerate(data):
             problems.setdefault(i, []).extend(_bad_samples(push, rig.force_sensor, keep_saturated))
-    lines = [f"{_place(data, i)}: {words}" for i in sorted(problems) for words in problems[i]]
+    told = [(_place(data, i), f": {words}") for i in sorted(problems) for words in problems[i]]
     good = [i for i in range(len(data)) if not problems.get(i)]
-    if lines and not (skip_bad and good):
-        raise InputError(join_problems(lines))
+    if told and not (skip_bad and good):
+        raise InputError(join_problems(gather_alike(told, len(data))))
+    lines = [place + words for place, words in told]
     return (
         replace(data.select(good), skipped=(*data.skipped, *map(shorten_to_line, lines)))
         if lines

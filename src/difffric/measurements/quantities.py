@@ -120,6 +120,18 @@ def shorten_to_line(problem: str) -> str:
     return line if len(line) <= LONGEST else f"{line[:LONGEST]} ..."
 
 
+def gather_alike(problems: Sequence[tuple[str, str]], n: int, of: str = "pushes") -> list[str]:
+    """Problems (place, what is wrong) as lines; what is wrong in several of the n places is told
+    once, with their number and the first of them."""
+    places: dict[str, list[str]] = {}
+    for place, words in problems:
+        places.setdefault(words, []).append(place)
+    return [
+        f"{at[0]}{words}" + (f" (in {len(at)} of {n} {of})" if len(at) > 1 else "")
+        for words, at in places.items()
+    ]
+
+
 def join_problems(problems: Sequence[str]) -> str:
     """The problems, a line each; no more than can be read."""
     lines = [shorten_to_line(problem) for problem in problems[:MANY]]

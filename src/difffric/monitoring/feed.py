@@ -85,6 +85,8 @@ class Feed:
         on_push: Callable[[PushRecord], None] = lambda seen: None,
     ):
         self.state, self.on_push, self.skipped = state, on_push, list[str]()
+        self.channels = setup.channels
+        self.notes: list[str] = []
         self.sources: list[CountedFile] = []
         if state is not None and state.exists():
             self.monitor, sources = load_state(state, setup)
@@ -113,7 +115,10 @@ class Feed:
         contents: set[str] = set()
         for path in paths:
             tell(f"reading {path.name}", 0.0)
-            loaded: Any = load(path, skip_bad=skip_bad)  # one of two kinds, and stays so
+            loaded: Any = load(
+                path, skip_bad=skip_bad, channels=self.channels
+            )  # of one kind, and stays so
+            self.notes += loaded.notes
             rig = self.monitor.setup.rig
             options = {"use_data_mass": use_data_mass, "skip_bad": skip_bad}
             data: Pushes | Recordings = check_data(loaded, rig, **options)

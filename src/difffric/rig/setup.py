@@ -37,6 +37,8 @@ class Setup:
     extras: Mapping[str, Extras] = field(default_factory=dict)
     text: str = field(default="", compare=False, repr=False)
     """of the file that it was read from: a new file keeps its comments and layout"""
+    channels: Mapping[str, str] = field(default_factory=dict)
+    """what files of data call a channel or column, by our name: `{"force": "Kraft"}`"""
 
 
 def check_rig(rig: Rig) -> Rig:

@@ -77,6 +77,9 @@ def _number(range: Range, q: AbstractSetupQuantity | None = None) -> pydantic.Pl
     return pydantic.PlainValidator(validate)
 
 
+_Name = Annotated[str, pydantic.StringConstraints(strict=True)]
+
+
 class _StrictModel(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(extra="forbid", strict=True)
 
@@ -132,7 +135,9 @@ def _section(section: str) -> Any:
 
 
 _EFFECTS = [section.removeprefix("effects.") for section in SECTIONS if "." in section]
-_TABLES = [*(section for section in SECTIONS if "." not in section), "effects"]
+FILES = "files"
+"""The table of the names that files of data have for what we call otherwise."""
+_TABLES = [*(section for section in SECTIONS if "." not in section), FILES, "effects"]
 
 
 @cache
@@ -140,7 +145,9 @@ def _make_file_model(effects: tuple[str, ...]) -> Any:
     """The model of a file that has tables of these effects: to make those of all effects takes
     longer than to read the file."""
     each: Any = {name: _section(f"effects.{name}") for name in effects}
-    fields: Any = {section: _section(section) for section in _TABLES[:-1]}
+    fields: Any = {section: _section(section) for section in _TABLES[:-2]}
+    names = Annotated[dict[str, _Name], pydantic.Field(default_factory=dict)]
+    fields[FILES] = (names, ...)
     fields["effects"] = (pydantic.create_model("_Effects", __base__=_StrictModel, **each), ...)
     return pydantic.create_model("_File", __base__=_StrictModel, **fields)
 
@@ -161,7 +168,8 @@ def _describe(error: Mapping[str, Any], document: dict) -> str:
         return f"{where}: missing, {SECTIONS[section][keys[0]].range.describe_expected(0)}"
     if kind == "extra_forbidden":
         return f"{where}: {_describe_unknown(*loc)}"
-    what = "true or false" if kind == "bool_type" else "a table"
+    kinds = {"bool_type": "true or false", "string_type": "a name in quotes"}
+    what = kinds.get(kind, "a table")
     return f"{where}: expected {what}, got {_format_given(given)}"
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import tomllib
 from contextlib import suppress
 from dataclasses import asdict
@@ -37,7 +38,7 @@ from difffric.rig.quantities import (
 )
 from difffric.rig.rig import Rig
 from difffric.rig.setup import Extras, Setup
-from difffric.rig.setup_schema import iterate_entries, validate_document
+from difffric.rig.setup_schema import FILES, iterate_entries, validate_document
 
 
 def load_setup(path: str | os.PathLike) -> Rig:
@@ -93,7 +94,9 @@ def parse_setup(text: str, name: str = "setup.toml") -> Setup:
     rig = catalogue.extended(Rig(mass=values["rig.mass"], **laws), sizes)
     if inverses:
         rig = catalogue.with_numbers(rig, inverses)
-    return Setup(rig, values.get("mu_s_scatter"), extras, text.replace("\r\n", "\n"))
+    names = dict(getattr(model, FILES))
+    text = text.replace("\r\n", "\n")
+    return Setup(rig, values.get("mu_s_scatter"), extras, text, channels=names)
 
 
 def _read_older_keys(document: dict[str, Any], name: str) -> dict[str, Any]:
@@ -187,7 +190,13 @@ def _format_tables(setup: Setup, name: str) -> dict[str, dict[str, str]]:
                 tables[section][q.key] = text
     if problems:
         raise InputError("\n".join(f"{name}: {problem}" for problem in problems))
+    tables[FILES] = {_format_key(k): json.dumps(x) for k, x in setup.channels.items()}
     return {section: table for section, table in tables.items() if table}
+
+
+def _format_key(key: str) -> str:
+    """A key as TOML has it: in quotes where it is more than letters, digits and underscores."""
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key)
 
 
 def _find_disorder(rig: Rig) -> list[str]:

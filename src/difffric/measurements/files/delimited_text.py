@@ -127,11 +127,23 @@ def split_text(
     rows = _split_rows(text, separator, skipped, path)
     if not rows:
         raise InputError(f"{path}: empty, expected {expected}")
+    return arrange_rows(rows, separator, notes, _split_cells(remark, separator))
+
+
+def arrange_rows(
+    rows: list[tuple[int, list[str]]],
+    separator: str,
+    notes: Sequence[str] = (),
+    remark: Sequence[str] = (),
+) -> DelimitedText:
+    """Rows (line, cells), of which none is empty, as header, units and the rest; `remark`: what a
+    comment above them says, which is the header where the first row holds numbers."""
+    rows = [*rows]
     has_header = not all(is_number_in_any_way(cell) for cell in rows[0][1])
     if has_header:
         _, header = rows.pop(0)
     else:
-        header = _split_cells(remark, separator)
+        header = [*remark]
         has_header = len(header) == len(rows[0][1]) > 1
         if not has_header:
             header = [str(i + 1) for i in range(len(rows[0][1]))]

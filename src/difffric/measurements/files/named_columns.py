@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from difffric.errors import InputError
 from difffric.measurements.files.decimal_marks import find_decimal_mark, write_with_point
 from difffric.measurements.files.delimited_text import DelimitedText, read_delimited_text
+from difffric.measurements.files.workbook import read_workbook
 from difffric.measurements.headings import (
     Heading,
     HeadingError,
@@ -71,7 +72,7 @@ def read_columns(
     pass_over: bool = False,
     expected: str = "a header and a row for each sample",
 ) -> NamedColumns:
-    """The columns of a delimited text that are quantities of `known`, in SI.
+    """The columns of a delimited text, or of a workbook, that are quantities of `known`, in SI.
 
     `find_needed`: what is needed, by what was found: groups of attributes, one of each group.
     `channels`: the column's name by ours, where they differ (`{"force": "Kraft"}`). `pass_over`:
@@ -80,7 +81,8 @@ def read_columns(
     Raises `InputError` where the file is no text or the columns cannot be told; what is wrong with
     cells is in `NamedColumns.problems`.
     """
-    text = read_delimited_text(path, expected)
+    is_workbook = os.fspath(path).lower().endswith(".xlsx")
+    text = (read_workbook if is_workbook else read_delimited_text)(path, expected)
     matched = _match(text, known, channels or {}, pass_over)
     missing = _find_missing(text, matched, known, find_needed)
     problems = [*missing, *matched.problems]

@@ -7,6 +7,7 @@ import threading
 import weakref
 from bisect import bisect_right
 from collections.abc import Mapping
+from fractions import Fraction
 from itertools import accumulate
 from typing import IO, Any
 
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from difffric.errors import InputError
 from difffric.measurements.files.tdms_segments import TdmsObject
+from difffric.units import Unit
 
 _AT_ONCE = 1 << 15  # samples
 _BLOCK = 1 << 22  # bytes that are read to pick a channel out of several
@@ -49,7 +51,7 @@ class OpenFile:
 
 
 class Samples:
-    """`read(lo, hi)` of a channel: its samples, scaled as the file says, divided by `divisor`.
+    """`read(lo, hi)` of a channel: its samples, scaled as the file says, in SI by their `unit`.
 
     Raises `InputError`, which begins with `where`, for a sample that is not finite and where the
     file has become shorter.
@@ -61,11 +63,16 @@ class Samples:
         where: str,
         channel: TdmsObject,
         scaling: MultiScaling | None,
-        divisor: float = 1.0,
+        unit: Unit | None = None,
     ):
         assert channel.dtype is not None
         self._file, self._where, self._dtype = file, where, channel.dtype
-        self._scaling, self._divisor = scaling, divisor
+        self._scaling = scaling
+        # 1 µm is a millionth, which is no float: a million is, and so the quotient is the exacter.
+        factor = Fraction(1) if unit is None else Fraction(unit.factor) / unit.per
+        over = factor.numerator == 1
+        self._factor = 1.0 if over else float(factor)
+        self._divisor = float(factor.denominator) if over else 1.0
         scales = [] if scaling is None else scaling.scalings
         # The usual one, without the intermediate arrays of the general way.
         self._linear = scales[0] if [type(x) for x in scales] == [LinearScaling] else None
@@ -101,6 +108,8 @@ class Samples:
             out[:] = raw
         if self._divisor != 1.0:
             out /= self._divisor
+        elif self._factor != 1.0:
+            out *= self._factor
         if not np.isfinite(out.sum()):
             self._refuse_not_finite(out, lo)
 

@@ -19,6 +19,7 @@ from difffric.errors import DiskError, InputError
 from difffric.measurements.files.tdms_reader import CHANNELS
 from difffric.measurements.quantities import OF_RECORDING, join_problems
 from difffric.measurements.recordings import Channel, Recording, Recordings
+from difffric.units import find_unit
 
 _CHUNK = 1 << 20  # samples
 _RAW = np.uint32(0xFFFFFFFF)  # npTDMS's and LabVIEW's name for unscaled samples as an input
@@ -240,7 +241,7 @@ class _Segments:
         for key, waveform in channels.items():
             if key not in CHANNELS:
                 problems.append(f"{where}: unknown channel {key}, known: {', '.join(CHANNELS)}")
-            elif waveform.unit not in CHANNELS[key]:
+            elif (unit := find_unit(waveform.unit)) is None or unit.of not in CHANNELS[key]:
                 problems.append(f"{where}: {key} in {waveform.unit}")
         for key, value in properties.items():
             q = known.get(key)

@@ -443,12 +443,12 @@ def test_a_push_streamed_in_parts_is_one(unit, what):
     [
         ([group(without=["velocity_mm_min"]), force()], "velocity_mm_min: missing"),
         (
-            [group(without=["velocity_mm_min"], velocity_m_s=0.05), force()],
-            "property velocity_m_s: unknown, expected velocity_mm_min",
+            [group(without=["velocity_mm_min"], velocity=0.05), force()],
+            "property velocity: unknown, expected velocity_mm_min",
         ),
         (
-            [group(mass_g=18900.0, without=["mass_kg"]), force()],
-            "mass_g: unknown, expected mass_kg",
+            [group(mass=18.9, without=["mass_kg"]), force()],
+            "mass: unknown, expected mass_kg",
         ),
         ([group(velocity_mm_min=-1.0), force()], "velocity_mm_min: expected a number > 0, got -1"),
         ([group(velocity_mm_min="500"), force()], "velocity_mm_min: expected a number > 0, got '5"),
@@ -463,8 +463,9 @@ def test_a_push_streamed_in_parts_is_one(unit, what):
             [group(), force(without=["unit_string"])],
             "channel 'force': unit_string: expected N or V",
         ),
-        ([group(), force(unit_string="kN")], "unit_string: expected N or V, got 'kN'"),
-        ([group(), position(unit_string="inch")], "expected um, µm, μm, mm or m, got 'inch'"),
+        ([group(), force(unit_string="mm")], "unit_string: expected N or V (mN, kN, MN, lbf"),
+        ([group(), position(unit_string="ell")], "expected um, mm or m (cm, nm, in are converted)"),
+        ([group(), ChannelObject("push_01", "forse", noisy(), WAVE)], "--channel force='forse'"),
         (
             [group(), force(without=["wf_increment"])],
             "wf_increment: missing, expected the sampling",
