@@ -1,0 +1,154 @@
+"""The search for the parameters of an axis: Gauss-Newton under a noise that is found with them.
+
+The first step needs no start: with the mass as a factor the equation is linear in all plain
+parameters. From there the positions are what answers to the force (`driven`), which stays right
+under a controller that reacts to noise and disturbances; where the forces of inertia drown, the
+force is what answers to a motion that is imposed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from difffric.axis.effects import EFFECTS
+from difffric.axis.motion_model import MotionModel, Residuals, RunData
+from difffric.axis.noise_model import NoiseFit, NoiseProblem
+from difffric.axis.setup import COULOMB, MASS, VISCOUS
+
+
+@dataclass(frozen=True)
+class SearchEnd:
+    """Where a search ended."""
+
+    values: dict[str, float]
+    """all parameters"""
+    names: tuple[str, ...]
+    """of the free ones"""
+    noise: NoiseFit
+    problem: NoiseProblem
+    imposed: bool
+    converged: bool
+    """whether the last step was small against the standard errors"""
+
+    @property
+    def criterion(self) -> float:
+        """-2 log restricted likelihood of the data; where the motion is driven, of positions."""
+        return self.noise.criterion
+
+
+_MOST_ROUNDS = 12
+"""Rounds of a search at most; three are usual."""
+_SMALL = 0.03
+"""Step, in standard errors, below which a search has converged."""
+_CLEAR_MASS = 6.0
+"""Standard errors that a mass must differ from 0 by, for the motion to count as driven."""
+
+
+def find_start(
+    runs: Sequence[RunData], values: Mapping[str, float], names: Sequence[str]
+) -> tuple[dict[str, float], bool]:
+    """Return where a search begins, and whether the motion is imposed.
+
+    `values` are those of the set-up, which hold for what is not free.
+    """
+    model = MotionModel(runs)
+    plain = [x for x in names if "." not in x]
+    tried = [MASS, *(x for x in plain if x != MASS)]
+    zero = {**values, **dict.fromkeys(tried, 0.0)}
+    found = model.evaluate(zero, tried)
+    levels = model.evaluate({**zero, COULOMB: values[COULOMB]}, tried).levels
+    noise = NoiseProblem(model.rows, [-e for e in found.errors], found.slopes, levels).fit()
+    mass, error = noise.step[0], np.sqrt(noise.covariance[0, 0])
+    imposed = bool(mass < _CLEAR_MASS * error)
+    if imposed:
+        return dict(values), True
+    start = dict(values)
+    for name, value in zip(tried, noise.step, strict=True):
+        if name in plain:
+            start[name] = float(value)
+    return start, False
+
+
+def search(
+    runs: Sequence[RunData],
+    start: Mapping[str, float],
+    names: Sequence[str],
+    imposed: bool,
+    sizes: np.ndarray | None = None,
+    hold_noise: bool = False,
+) -> SearchEnd:
+    """Return the best values of the named parameters, and the noise with them; with `hold_noise`
+    the noise stays of these sizes."""
+    values, converged = dict(start), False
+    problem, noise = _pose(runs, values, names, imposed), None
+    best = None
+    for k in range(_MOST_ROUNDS):
+        held = sizes if hold_noise else None
+        noise = problem.fit(sizes) if held is None else problem.solve(held)[0]
+        sizes = noise.sizes
+        if imposed:
+            noise = problem.weigh_equally(noise)
+        errors = np.sqrt(np.maximum(np.diag(noise.covariance), 1e-300))
+        if best is not None and noise.criterion > best[2].criterion + 0.5 and k < _MOST_ROUNDS - 1:
+            values = {x: 0.5 * (values[x] + best[0][x]) for x in values}
+            problem = _pose(runs, values, names, imposed)
+            if np.max(np.abs(noise.step) / errors) > 1e3:
+                best = None
+            continue
+        best = (dict(values), problem, noise)
+        if np.max(np.abs(noise.step) / errors, initial=0.0) < _SMALL:
+            converged = True
+            break
+        values = {
+            **values,
+            **{
+                name: _take_step(name, values[name], float(step))
+                for name, step in zip(names, noise.step, strict=True)
+            },
+        }
+        problem = _pose(runs, values, names, imposed)
+    assert best is not None
+    values, problem, noise = best
+    return SearchEnd(values, tuple(names), noise, problem, imposed, converged)
+
+
+def _pose(
+    runs: Sequence[RunData], values: Mapping[str, float], names: Sequence[str], imposed: bool
+) -> NoiseProblem:
+    """The linear problem of a step from these values."""
+    rate = 0.0 if imposed else max(values[VISCOUS] / values[MASS], 0.0)
+    model = MotionModel(runs, rate, imposed)
+    return pose_step(model, model.evaluate(values, names), values, names)
+
+
+def pose_step(
+    model: MotionModel, found: Residuals, values: Mapping[str, float], names: Sequence[str]
+) -> NoiseProblem:
+    """Return the linear problem of a step: the errors of position [m], or of force where the
+    motion is imposed, against what each parameter changes of them."""
+    if model.imposed:
+        targets = [-e for e in found.errors]
+        return NoiseProblem(model.rows, targets, found.slopes, found.levels)
+    mass = values[MASS]
+    targets = [-e / mass for e in found.errors]
+    columns = [s / mass for s in found.slopes]
+    if MASS in names:
+        k = [*names].index(MASS)
+        for column, error in zip(columns, found.errors, strict=True):
+            column[:, k] -= error / mass**2
+    return NoiseProblem(model.rows, targets, columns, [z / mass for z in found.levels])
+
+
+def _take_step(name: str, value: float, step: float) -> float:
+    """The value after a step, which leaves no mass, no Coulomb friction and no length below a
+    third of what it was."""
+    effect, dot, key = name.partition(".")
+    positive = name in (MASS, COULOMB)
+    if dot:
+        positive = next(x for x in EFFECTS[effect].keys if x.name == key).is_scanned
+    if positive and value > 0:
+        return float(np.clip(value + step, value / 3, 3 * value))
+    return value + step
