@@ -67,7 +67,7 @@ def _get_of_axis(name: str) -> Callable[..., Any]:
 def _is_axis(name: str, first: Any) -> bool:
     """Whether the first argument is an axis, or the file of one."""
     if name in ("load_setup", "read_setup"):
-        from difffric.axis.files.setup_file import is_axis_file
+        from difffric.axis.files.file_kind import is_axis_file
 
         return is_axis_file(first)
     return type(first).__module__.startswith("difffric.axis")
@@ -76,7 +76,8 @@ def _is_axis(name: str, first: Any) -> bool:
 def _load(of_pushes: Callable[..., Any], path: Any, **options: Any) -> Any:
     """What a file holds: a recording of an axis tells itself by its columns, or by groups that
     have a force and a position and no speed."""
-    from difffric.axis.files.load_recording import is_axis_recording, lacks_speeds, load_axis
+    from difffric.axis.files.file_kind import is_axis_recording, lacks_speeds
+    from difffric.axis.files.load_recording import load_axis
     from difffric.errors import InputError
 
     if is_axis_recording(path):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 from scipy.stats import norm
 
-from difffric.axis.one_sign_runs import Motion, iterate_constant
+from difffric.axis.one_sign_runs import MeasuredMotion, iterate_constant
 from difffric.axis.recordings import AxisRecordings, AxisStretch
 from difffric.axis.setup import COULOMB, MASS, OFFSET, VISCOUS
 
@@ -60,7 +60,7 @@ _OUTLIER = 0.1
 
 def find_breakaways(
     data: AxisRecordings,
-    motions: Sequence[Motion],
+    motions: Sequence[MeasuredMotion],
     values: Mapping[str, float],
     levels: Sequence[float],
     noise: float,

@@ -89,7 +89,7 @@ class Direction(AbstractResistance):
         return {_COULOMB: a + 0 * speed, _VISCOUS: c * speed}
 
 
-class Stribeck(AbstractResistance):
+class AxisStribeck(AbstractResistance):
     """Coulomb friction rises from F_c to the break-away force as the speed falls: adds
     (F_s - F_c) exp(-(u / v_s)^2) sign(u) (Stribeck 1902; Armstrong-Helouvry et al. 1994).
     Null: v_s = 0."""
@@ -156,7 +156,7 @@ class Cogging(AbstractResistance):
         return -np.sin(angle), by_angle * -2 * np.pi * point.position / period**2, by_angle
 
 
-class Waviness(AbstractResistance):
+class AxisWaviness(AbstractResistance):
     """Coulomb friction that varies along the axis: adds F_c a sin(2 pi x / lambda + phi) sign(u).
     Null: a = 0."""
 
@@ -183,7 +183,7 @@ class Waviness(AbstractResistance):
         return {_COULOMB: point.sign * a * np.sin(angle)}
 
 
-class QuadraticDrag(AbstractResistance):
+class AxisDrag(AbstractResistance):
     """A drag c u |u|, of air or of a churned lubricant. Null: c = 0."""
 
     def resist(self, point: Point, plain: Mapping[str, float], *sizes: float) -> NDArray:
@@ -195,7 +195,7 @@ class QuadraticDrag(AbstractResistance):
         return (point.sign * point.speed**2,)
 
 
-class Drift(AbstractResistance):
+class AxisDrift(AbstractResistance):
     """Coulomb friction that changes linearly over the order of the stretches, by the share `drift`
     from first to last: adds F_c drift (order) sign(u). Null: 0."""
 
@@ -258,7 +258,7 @@ EFFECTS = {
         AxisEffect(
             "stribeck",
             "friction",
-            Stribeck(),
+            AxisStribeck(),
             (AxisKey("v_s_m_per_s", 0.0, 0.01, is_scanned=True),),
             "friction is higher at low speed",
         ),
@@ -279,21 +279,21 @@ EFFECTS = {
         AxisEffect(
             "friction_waviness",
             "friction",
-            Waviness(),
+            AxisWaviness(),
             (AxisKey("amplitude", 0.0, 0.0), AxisKey("wavelength_m", 0.01, 0.01, True), _PHASE),
             "friction varies along the axis",
         ),
         AxisEffect(
             "quadratic_drag",
             "friction",
-            QuadraticDrag(),
+            AxisDrag(),
             (AxisKey("c_N_s2_per_m2", 0.0, 0.0),),
             "a drag that grows with the square of speed",
         ),
         AxisEffect(
             "friction_drift",
             "friction",
-            Drift(),
+            AxisDrift(),
             (AxisKey("drift", 0.0, 0.0),),
             "friction changes over the order of the stretches",
         ),

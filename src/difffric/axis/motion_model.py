@@ -18,7 +18,7 @@ from scipy.signal import lfilter
 
 from difffric.axis.effects import EFFECTS, Point, list_effect_keys
 from difffric.axis.noise_model import RunRows, make_force_rows, make_rows
-from difffric.axis.one_sign_runs import Motion, OneSignRun
+from difffric.axis.one_sign_runs import MeasuredMotion, OneSignRun
 from difffric.axis.recordings import AxisStretch
 from difffric.axis.setup import COULOMB, MASS, OFFSET, PLAIN_NAMES, VISCOUS
 
@@ -57,7 +57,7 @@ class RunData:
 
 
 def prepare_run(
-    run: OneSignRun, stretch: AxisStretch, motion: Motion, block_time: float, order: float
+    run: OneSignRun, stretch: AxisStretch, motion: MeasuredMotion, block_time: float, order: float
 ) -> RunData:
     """Return a run with its blocks, of `block_time` [s] or longer; `order` is the stretch's place
     among all, from -1/2 to 1/2."""
@@ -92,7 +92,7 @@ def choose_block_time(runs: Sequence[OneSignRun], stretches: Sequence[AxisStretc
 
 
 @dataclass(frozen=True)
-class Residuals:
+class RunResiduals:
     """What is left over in all runs, and its derivatives, in rows without the free starts."""
 
     errors: list[NDArray]
@@ -117,7 +117,7 @@ class MotionModel:
         self.rows = [self._make_rows(run) for run in runs]
         self._fixed = [self._integrate_plain(k) for k in range(len(runs))]
 
-    def evaluate(self, values: Mapping[str, float], names: Sequence[str]) -> Residuals:
+    def evaluate(self, values: Mapping[str, float], names: Sequence[str]) -> RunResiduals:
         """Return what is left over at these values of all parameters, and the derivatives by the
         named ones."""
         effects = {name.partition(".")[0] for name in values if "." in name}
@@ -136,7 +136,7 @@ class MotionModel:
             errors.append(np.asarray(error))
             slopes.append(np.column_stack([columns[name] for name in names]))
             levels.append(level)
-        return Residuals(errors, slopes, levels)
+        return RunResiduals(errors, slopes, levels)
 
     def _make_rows(self, run: RunData) -> RunRows:
         if self.imposed:

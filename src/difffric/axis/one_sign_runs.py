@@ -17,7 +17,7 @@ from difffric.axis.recordings import AxisRecordings, AxisStretch
 
 
 @dataclass(frozen=True)
-class Motion:
+class MeasuredMotion:
     """What the positions of a stretch say of its speed."""
 
     speed: NDArray
@@ -71,7 +71,7 @@ def estimate_encoder_noise(position: NDArray) -> float:
     return max(middle, 0.05 * float(np.std(third))) / np.sqrt(20.0)
 
 
-def measure_motion(stretch: AxisStretch, noise: float) -> Motion:
+def measure_motion(stretch: AxisStretch, noise: float) -> MeasuredMotion:
     """Return speed and direction over a stretch whose encoder has this noise [m]."""
     t, x = stretch.time, stretch.position
     step = float(np.median(np.diff(t)))
@@ -89,22 +89,24 @@ def measure_motion(stretch: AxisStretch, noise: float) -> Motion:
         half = min(2 * half, max(half + 1, round(_WIDEST / step)))
     least = max(_CLEAR * error, _SLOW * usual)
     speed = speed if is_even else np.interp(t, even, speed)
-    return Motion(speed, np.where(np.abs(speed) > least, np.sign(speed), 0).astype(int), half)
+    return MeasuredMotion(
+        speed, np.where(np.abs(speed) > least, np.sign(speed), 0).astype(int), half
+    )
 
 
-def keep_fast(motions: Sequence[Motion]) -> list[Motion]:
+def keep_fast(motions: Sequence[MeasuredMotion]) -> list[MeasuredMotion]:
     """Return the same motions, at rest where they are slower than `_STEADY` of the usual speed: for
     a motion that is imposed, whose slow parts say more of how friction builds up than of its
     level."""
     usual = float(np.quantile(np.abs(np.concatenate([m.speed for m in motions])), 0.9))
     return [
-        Motion(m.speed, np.where(np.abs(m.speed) > _STEADY * usual, m.direction, 0), 0)
+        MeasuredMotion(m.speed, np.where(np.abs(m.speed) > _STEADY * usual, m.direction, 0), 0)
         for m in motions
     ]
 
 
 def find_runs(
-    data: AxisRecordings, motions: Sequence[Motion], noise: float
+    data: AxisRecordings, motions: Sequence[MeasuredMotion], noise: float
 ) -> tuple[OneSignRun, ...]:
     """Return all runs that are long enough to say something, in order of time."""
     found = []
@@ -124,7 +126,7 @@ def find_runs(
     return tuple(found)
 
 
-def cut_at_rests(data: AxisRecordings, motions: Sequence[Motion]) -> list[AxisStretch]:
+def cut_at_rests(data: AxisRecordings, motions: Sequence[MeasuredMotion]) -> list[AxisStretch]:
     """Return the stretches of a recording that says none: cut in the middle of each rest, and
     where one lasts longer than `LONGEST_STRETCH`, at the next change of direction."""
     found: list[AxisStretch] = []

@@ -9,7 +9,7 @@ import numpy as np
 
 from difffric.axis.motion_model import RunData, choose_block_time, prepare_run
 from difffric.axis.one_sign_runs import (
-    Motion,
+    MeasuredMotion,
     OneSignRun,
     cut_at_rests,
     estimate_encoder_noise,
@@ -27,7 +27,7 @@ class PreparedRecording:
     """What a fit works on."""
 
     data: AxisRecordings
-    motions: Sequence[Motion]
+    motions: Sequence[MeasuredMotion]
     runs: Sequence[OneSignRun]
     run_data: Sequence[RunData]
     noise: float
@@ -73,7 +73,7 @@ def keep_sliding(ready: PreparedRecording) -> PreparedRecording:
 
 
 def _prepare_runs(
-    data: AxisRecordings, motions: Sequence[Motion], runs: Sequence[OneSignRun]
+    data: AxisRecordings, motions: Sequence[MeasuredMotion], runs: Sequence[OneSignRun]
 ) -> list[RunData]:
     block = choose_block_time(runs, data.stretches)
     places = np.linspace(-0.5, 0.5, len(data)) if len(data) > 1 else np.zeros(1)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from difffric.axis.effects import EFFECTS
-from difffric.axis.motion_model import MotionModel, Residuals, RunData
+from difffric.axis.motion_model import MotionModel, RunData, RunResiduals
 from difffric.axis.noise_model import NoiseFit, NoiseProblem
 from difffric.axis.setup import COULOMB, MASS, VISCOUS
 
@@ -125,7 +125,7 @@ def _pose(
 
 
 def pose_step(
-    model: MotionModel, found: Residuals, values: Mapping[str, float], names: Sequence[str]
+    model: MotionModel, found: RunResiduals, values: Mapping[str, float], names: Sequence[str]
 ) -> NoiseProblem:
     """Return the linear problem of a step: the errors of position [m], or of force where the
     motion is imposed, against what each parameter changes of them."""

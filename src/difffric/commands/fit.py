@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 import difffric as df
-from difffric.axis.files.setup_file import is_axis_file
+from difffric.axis.files.file_kind import is_axis_file
 from difffric.commands import reports
 from difffric.commands.console import check_out, check_setup_stays, print_and_write, show_progress
 from difffric.commands.options import (

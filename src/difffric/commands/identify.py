@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import difffric as df
-from difffric.axis.files.setup_file import is_axis_file
+from difffric.axis.files.file_kind import is_axis_file
 from difffric.commands import reports
 from difffric.commands.console import check_out, print_and_write, show_progress
 from difffric.commands.fleet_options import (

@@ -59,7 +59,7 @@ def screen_effects(
 
 
 @dataclass(frozen=True)
-class _Shape:
+class _GridPoint:
     """A point of an effect's grid: what the effect is there per unit of what is linear in it."""
 
     grid: Mapping[str, float]
@@ -67,7 +67,7 @@ class _Shape:
     """a run, then a linear size: forces (n,)"""
 
 
-def _list_shapes(ready: PreparedRecording, end: SearchEnd, effect: str) -> list[_Shape]:
+def _list_shapes(ready: PreparedRecording, end: SearchEnd, effect: str) -> list[_GridPoint]:
     """All points of an effect's grid."""
     runs, v = ready.run_data, end.values
     points = [run.point for run in runs]
@@ -83,12 +83,12 @@ def _list_shapes(ready: PreparedRecording, end: SearchEnd, effect: str) -> list[
         for period in extent / waves:
             both = [[law.resist(p, v, 1.0, period, phase) for phase in (0.0, np.pi / 2)]
                     for p in points]  # fmt: skip
-            shapes.append(_Shape({keys[1]: float(period)}, both))
+            shapes.append(_GridPoint({keys[1]: float(period)}, both))
         return shapes
     usual = ready.usual_speed
     if effect == "stribeck":
         return [
-            _Shape(
+            _GridPoint(
                 {keys[0]: float(speed)},
                 [[p.sign * np.exp(-((p.speed / speed) ** 2))] for p in points],
             )
@@ -96,16 +96,16 @@ def _list_shapes(ready: PreparedRecording, end: SearchEnd, effect: str) -> list[
         ]
     if effect == "friction_strengthening":
         return [
-            _Shape({keys[1]: float(speed)}, [[law.resist(p, v, 1.0, speed)] for p in points])
+            _GridPoint({keys[1]: float(speed)}, [[law.resist(p, v, 1.0, speed)] for p in points])
             for speed in np.geomspace(0.003 * usual, 0.5 * usual, _SPEEDS)
         ]
     if effect == "friction_direction":
-        return [_Shape({}, [[law.resist(p, v, 0.0, 1.0)] for p in points])]
+        return [_GridPoint({}, [[law.resist(p, v, 0.0, 1.0)] for p in points])]
     if effect == "drive_delay":
-        return [_Shape({}, [])]
+        return [_GridPoint({}, [])]
     if effect == "friction_drift" and len(ready.data) < 3:
         return []
-    return [_Shape({}, [[law.resist(p, v, 1.0)] for p in points])]
+    return [_GridPoint({}, [[law.resist(p, v, 1.0)] for p in points])]
 
 
 def _find_best(
@@ -113,7 +113,7 @@ def _find_best(
     problem: NoiseProblem,
     end: SearchEnd,
     effect: str,
-    shapes: Sequence[_Shape],
+    shapes: Sequence[_GridPoint],
     scale: float,
 ) -> Promise | None:
     """The best point of an effect's grid."""

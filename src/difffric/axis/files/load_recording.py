@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Sequence, Set
 from itertools import pairwise
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from difffric.atomic_files import open_file
+from difffric.axis.files.file_kind import TEXTS
 from difffric.axis.recordings import NEWTON, VOLT, AxisRecordings, AxisStretch
 from difffric.errors import InputError
 from difffric.measurements.files.named_columns import read_columns
@@ -30,7 +30,6 @@ COLUMNS = (
 
 _FORCE = {"N": NEWTON, "V": VOLT}
 _LENGTH = {"um": 1e-6, "µm": 1e-6, "μm": 1e-6, "mm": 1e-3, "m": 1.0}
-_TEXTS = (".csv", ".txt", ".tsv", ".dat")
 
 
 def load_axis(
@@ -43,7 +42,7 @@ def load_axis(
     wrong with the file.
     """
     suffix = Path(path).suffix.lower()
-    if suffix in _TEXTS:
+    if suffix in TEXTS:
         return _read_text(path, skip_bad, needs_position)
     if suffix == ".tdms":
         return _read_tdms(path)
@@ -57,22 +56,6 @@ def load_axis(
     raise InputError(
         f"{path}: expected the recording of an axis (.csv or .tdms), got {suffix or 'no suffix'}"
     )
-
-
-def is_axis_recording(path: str | os.PathLike) -> bool:
-    """Whether a text has a column of times and one of positions, as only recordings of an axis
-    have; False for what cannot be read."""
-    if Path(path).suffix.lower() not in _TEXTS:
-        return False
-    try:
-        with open(path, "rb") as file:
-            head = file.read(4096).decode("utf-8", "replace").lower()
-    except OSError:
-        return False
-    lines = [x for x in head.splitlines() if x.strip() and not x.startswith(("#", "%", "sep="))]
-    names = [x.strip(' "\ufeff') for x in re.split(r"[,;\t|]", lines[0])] if lines else []
-    has_time = any(re.match(r"(time|t)\b|time_", x) for x in names)
-    return has_time and any(x.startswith(("position", "x_", "x ")) or x == "x" for x in names)
 
 
 def convert_recordings(data: Recordings) -> AxisRecordings:
@@ -215,21 +198,3 @@ def _read_tdms(path: str | os.PathLike) -> AxisRecordings:
     if problems or not stretches:
         raise InputError(join_problems(problems or [f"{path}: no groups"]))
     return AxisRecordings(stretches, units.pop(), source=str(path))
-
-
-def lacks_speeds(path: str | os.PathLike) -> bool:
-    """Whether a `.tdms` has groups with a force and a position of which none says the speed of a
-    push: the recording of an axis; False for what cannot be read."""
-    if Path(path).suffix.lower() != ".tdms":
-        return False
-    import nptdms  # here, as texts need none
-
-    try:
-        groups = nptdms.TdmsFile.read_metadata(str(path)).groups()
-    except (ValueError, OSError, EOFError, KeyError):
-        return False
-    names = [{x.name.strip().lower() for x in group.channels()} for group in groups]
-    return bool(groups) and all(
-        {"force", "position"} <= own and "velocity_mm_min" not in group.properties
-        for own, group in zip(names, groups, strict=True)
-    )

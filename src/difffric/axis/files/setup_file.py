@@ -10,7 +10,6 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from decimal import Decimal
-from pathlib import Path
 from typing import Any
 
 from difffric.atomic_files import read_bytes
@@ -53,20 +52,6 @@ _SECTIONS = {
 }
 _EXTRAS = ("value", "standard_error", "free", "lower", "upper")
 _RIGS = ("part", "contact", "pusher", "force_sensor")
-
-
-def is_axis(document: Mapping[str, Any]) -> bool:
-    """Whether a set-up's document is that of an axis."""
-    return "axis" in document
-
-
-def is_axis_file(path: str | os.PathLike) -> bool:
-    """Whether a file is the set-up of an axis; False for what cannot be read, which the reader of
-    other set-ups will say."""
-    try:
-        return is_axis(tomllib.loads(Path(path).read_bytes().decode("utf-8-sig")))
-    except (OSError, ValueError, RecursionError):
-        return False
 
 
 def read_axis(path: str | os.PathLike) -> AxisSetup:

@@ -54,7 +54,7 @@ _TINY = 1e-30
 """Imaginary part by which an analytic function tells its derivative, to the last digit."""
 
 
-class _State:
+class _RunState:
     """Position and speed with their derivatives along `DIRECTIONS`."""
 
     def __init__(self, position: float, speed: float):
@@ -73,7 +73,7 @@ def follow_runs(
     pull, stick = F + values[OFFSET], values[BREAKAWAY]
     xs, us = np.empty(n), np.empty(n)
     dxs, dus = np.zeros((len(DIRECTIONS), n)), np.zeros((len(DIRECTIONS), n))
-    state, events = _State(x, u), []
+    state, events = _RunState(x, u), []
     laws = _Laws(values, h)
     k, sign = 0, 0 if u == 0 else int(math.copysign(1, u))
     starts = np.flatnonzero(np.abs(pull) > stick)
@@ -141,7 +141,7 @@ def _fill_run(
     pull: NDArray,
     k: int,
     sign: int,
-    state: _State,
+    state: _RunState,
     xs: NDArray,
     us: NDArray,
     dxs: NDArray,
@@ -185,7 +185,7 @@ def _fill_run(
 
 
 def _end_run(
-    laws: _Laws, pull: float, end: int, sign: int, state: _State, stick: float
+    laws: _Laws, pull: float, end: int, sign: int, state: _RunState, stick: float
 ) -> tuple[int, int, str, float]:
     """Take a run that ends within sample `end` to the next sample: (that, sign, kind of the event,
     its time after the sample)."""
@@ -209,7 +209,7 @@ def _end_run(
     return end + 1, after, "reversal", tau
 
 
-def _move(laws: _Laws, state: _State, a: float, sign: int, h: float) -> None:
+def _move(laws: _Laws, state: _RunState, a: float, sign: int, h: float) -> None:
     """Take a state through a part of a sample."""
     hold, slope = laws.differentiate(h)
     x, u, dx, du = state.x, state.u, state.dx, state.du

@@ -9,7 +9,7 @@ import numpy as np
 
 from difffric.axis.diagnosis.procedure import diagnose_axis
 from difffric.axis.files.load_recording import load_axis
-from difffric.axis.files.setup_file import format_axis, is_axis_file, read_axis
+from difffric.axis.files.setup_file import format_axis, read_axis
 from difffric.axis.fit import fit_axis
 from difffric.axis.friction_levels import identify_axis
 from difffric.axis.motion.simulate import simulate_axis
@@ -17,8 +17,6 @@ from difffric.axis.recordings import convert_to_newtons
 from difffric.commands.axis import report
 from difffric.commands.console import check_setup_stays, print_and_write, show_progress
 from difffric.errors import InputError
-
-__all__ = ["is_axis_file"]
 
 
 def run_fit(
