@@ -90,12 +90,12 @@ def combine_breakaways(events: Sequence[Breakaway], coulomb: float) -> Breakaway
     grid = np.linspace(0.6 * coulomb, max(1.3 * max(tops), 1.5 * coulomb), 1500)
     best = None
     for spread in _SPREADS:
-        logs = sum(_weigh_force(event, grid, spread) for event in events)
-        evidence = float(logsumexp(logs))
+        logs = np.sum([_weigh_force(event, grid, spread) for event in events], axis=0)
+        evidence = float(np.asarray(logsumexp(logs)))
         if best is None or evidence > best[0]:
             best = (evidence, logs, float(spread))
     assert best is not None
-    weights = np.exp(best[1] - logsumexp(best[1]))
+    weights = np.exp(best[1] - best[0])
     value = float(weights @ grid)
     variance = float(weights @ (grid - value) ** 2) + (grid[1] - grid[0]) ** 2 / 12
     return BreakawayForce(value, float(np.sqrt(variance)), best[2], len(events))

@@ -11,6 +11,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,17 +51,17 @@ class AbstractResistance(abc.ABC):
     """The law of an effect: forces in newtons, positive where they resist motion forwards."""
 
     @abc.abstractmethod
-    def resist(self, point: Point, plain: Mapping[str, float], *sizes: float) -> NDArray:
+    def resist(self, point: Point, plain: Mapping[str, Any], *sizes: Any) -> NDArray:
         """Return the force that is added to the friction, with its sign."""
 
     @abc.abstractmethod
     def differentiate(
-        self, point: Point, plain: Mapping[str, float], *sizes: float
+        self, point: Point, plain: Mapping[str, Any], *sizes: Any
     ) -> Sequence[NDArray]:
         """Return its derivatives by each of the effect's numbers."""
 
     def differentiate_plain(
-        self, point: Point, plain: Mapping[str, float], *sizes: float
+        self, point: Point, plain: Mapping[str, Any], *sizes: Any
     ) -> dict[str, NDArray]:
         """Return its derivatives by plain parameters, where it depends on some."""
         return {}
@@ -71,18 +72,18 @@ class Direction(AbstractResistance):
     (1 - c) times backwards: adds F_c a + k_v c |u|. Null: a = c = 0. A constant force is also what
     an offset does: a and the offset are never told apart by motion alone."""
 
-    def resist(self, point: Point, plain: Mapping[str, float], *sizes: float) -> NDArray:
+    def resist(self, point: Point, plain: Mapping[str, Any], *sizes: Any) -> NDArray:
         a, c = sizes
         return plain[_COULOMB] * a + plain[_VISCOUS] * c * point.sign * point.speed
 
     def differentiate(
-        self, point: Point, plain: Mapping[str, float], *sizes: float
+        self, point: Point, plain: Mapping[str, Any], *sizes: Any
     ) -> Sequence[NDArray]:
         speed = point.sign * point.speed
         return plain[_COULOMB] + 0 * speed, plain[_VISCOUS] * speed
 
     def differentiate_plain(
-        self, point: Point, plain: Mapping[str, float], *sizes: float
+        self, point: Point, plain: Mapping[str, Any], *sizes: Any
     ) -> dict[str, NDArray]:
         a, c = sizes
         speed = point.sign * point.speed
@@ -94,20 +95,20 @@ class AxisStribeck(AbstractResistance):
     (F_s - F_c) exp(-(u / v_s)^2) sign(u) (Stribeck 1902; Armstrong-Helouvry et al. 1994).
     Null: v_s = 0."""
 
-    def resist(self, point: Point, plain: Mapping[str, float], *sizes: float) -> NDArray:
+    def resist(self, point: Point, plain: Mapping[str, Any], *sizes: Any) -> NDArray:
         (v_s,) = sizes
         rise = _get_breakaway(plain) - plain[_COULOMB]
         return point.sign * rise * self._fall(point, v_s)
 
     def differentiate(
-        self, point: Point, plain: Mapping[str, float], *sizes: float
+        self, point: Point, plain: Mapping[str, Any], *sizes: Any
     ) -> Sequence[NDArray]:
         (v_s,) = sizes
         by_speed = 2 * point.speed**2 / v_s**3
         return (self.resist(point, plain, v_s) * by_speed,)
 
     def differentiate_plain(
-        self, point: Point, plain: Mapping[str, float], *sizes: float
+        self, point: Point, plain: Mapping[str, Any], *sizes: Any
     ) -> dict[str, NDArray]:
         fall = point.sign * self._fall(point, sizes[0])
         return {_COULOMB: -fall, _BREAKAWAY: fall}
@@ -120,12 +121,12 @@ class Strengthening(AbstractResistance):
     """Coulomb friction that rises with the logarithm of speed: adds F_c a ln(1 + |u| / u_0)
     sign(u) (velocity strengthening: Dieterich 1979, Ruina 1983). Null: a = 0."""
 
-    def resist(self, point: Point, plain: Mapping[str, float], *sizes: float) -> NDArray:
+    def resist(self, point: Point, plain: Mapping[str, Any], *sizes: Any) -> NDArray:
         a, u_0 = sizes
         return point.sign * plain[_COULOMB] * a * np.log1p(point.sign * point.speed / u_0)
 
     def differentiate(
-        self, point: Point, plain: Mapping[str, float], *sizes: float
+        self, point: Point, plain: Mapping[str, Any], *sizes: Any
     ) -> Sequence[NDArray]:
         a, u_0 = sizes
         speed = point.sign * point.speed
@@ -133,7 +134,7 @@ class Strengthening(AbstractResistance):
         return size * np.log1p(speed / u_0), -size * a * speed / (u_0 * (u_0 + speed))
 
     def differentiate_plain(
-        self, point: Point, plain: Mapping[str, float], *sizes: float
+        self, point: Point, plain: Mapping[str, Any], *sizes: Any
     ) -> dict[str, NDArray]:
         a, u_0 = sizes
         return {_COULOMB: point.sign * a * np.log1p(point.sign * point.speed / u_0)}
@@ -143,12 +144,12 @@ class Cogging(AbstractResistance):
     """A force A sin(2 pi x / p + phi) of the drive, the same both ways (slots and magnets of a
     linear motor, or one turn of a screw). Null: A = 0."""
 
-    def resist(self, point: Point, plain: Mapping[str, float], *sizes: float) -> NDArray:
+    def resist(self, point: Point, plain: Mapping[str, Any], *sizes: Any) -> NDArray:
         amplitude, period, phase = sizes
         return -amplitude * np.sin(2 * np.pi * point.position / period + phase)
 
     def differentiate(
-        self, point: Point, plain: Mapping[str, float], *sizes: float
+        self, point: Point, plain: Mapping[str, Any], *sizes: Any
     ) -> Sequence[NDArray]:
         amplitude, period, phase = sizes
         angle = 2 * np.pi * point.position / period + phase
@@ -160,13 +161,13 @@ class AxisWaviness(AbstractResistance):
     """Coulomb friction that varies along the axis: adds F_c a sin(2 pi x / lambda + phi) sign(u).
     Null: a = 0."""
 
-    def resist(self, point: Point, plain: Mapping[str, float], *sizes: float) -> NDArray:
+    def resist(self, point: Point, plain: Mapping[str, Any], *sizes: Any) -> NDArray:
         a, wavelength, phase = sizes
         angle = 2 * np.pi * point.position / wavelength + phase
         return point.sign * plain[_COULOMB] * a * np.sin(angle)
 
     def differentiate(
-        self, point: Point, plain: Mapping[str, float], *sizes: float
+        self, point: Point, plain: Mapping[str, Any], *sizes: Any
     ) -> Sequence[NDArray]:
         a, wavelength, phase = sizes
         size = point.sign * plain[_COULOMB]
@@ -176,7 +177,7 @@ class AxisWaviness(AbstractResistance):
         return size * np.sin(angle), by_angle * turns, by_angle
 
     def differentiate_plain(
-        self, point: Point, plain: Mapping[str, float], *sizes: float
+        self, point: Point, plain: Mapping[str, Any], *sizes: Any
     ) -> dict[str, NDArray]:
         a, wavelength, phase = sizes
         angle = 2 * np.pi * point.position / wavelength + phase
@@ -186,11 +187,11 @@ class AxisWaviness(AbstractResistance):
 class AxisDrag(AbstractResistance):
     """A drag c u |u|, of air or of a churned lubricant. Null: c = 0."""
 
-    def resist(self, point: Point, plain: Mapping[str, float], *sizes: float) -> NDArray:
+    def resist(self, point: Point, plain: Mapping[str, Any], *sizes: Any) -> NDArray:
         return sizes[0] * point.sign * point.speed**2
 
     def differentiate(
-        self, point: Point, plain: Mapping[str, float], *sizes: float
+        self, point: Point, plain: Mapping[str, Any], *sizes: Any
     ) -> Sequence[NDArray]:
         return (point.sign * point.speed**2,)
 
@@ -199,16 +200,16 @@ class AxisDrift(AbstractResistance):
     """Coulomb friction that changes linearly over the order of the stretches, by the share `drift`
     from first to last: adds F_c drift (order) sign(u). Null: 0."""
 
-    def resist(self, point: Point, plain: Mapping[str, float], *sizes: float) -> NDArray:
+    def resist(self, point: Point, plain: Mapping[str, Any], *sizes: Any) -> NDArray:
         return point.sign * plain[_COULOMB] * sizes[0] * point.order + 0 * point.speed
 
     def differentiate(
-        self, point: Point, plain: Mapping[str, float], *sizes: float
+        self, point: Point, plain: Mapping[str, Any], *sizes: Any
     ) -> Sequence[NDArray]:
         return (point.sign * plain[_COULOMB] * point.order + 0 * point.speed,)
 
     def differentiate_plain(
-        self, point: Point, plain: Mapping[str, float], *sizes: float
+        self, point: Point, plain: Mapping[str, Any], *sizes: Any
     ) -> dict[str, NDArray]:
         return {_COULOMB: point.sign * sizes[0] * point.order + 0 * point.speed}
 
@@ -217,16 +218,16 @@ class Late(AbstractResistance):
     """The motion answers the recorded force later, by `delay_s`: force(t - delay), which is no
     force of its own. Null: 0."""
 
-    def resist(self, point: Point, plain: Mapping[str, float], *sizes: float) -> NDArray:
+    def resist(self, point: Point, plain: Mapping[str, Any], *sizes: Any) -> NDArray:
         return 0 * point.speed
 
     def differentiate(
-        self, point: Point, plain: Mapping[str, float], *sizes: float
+        self, point: Point, plain: Mapping[str, Any], *sizes: Any
     ) -> Sequence[NDArray]:
         return (0 * point.speed,)
 
 
-def _get_breakaway(plain: Mapping[str, float]) -> float:
+def _get_breakaway(plain: Mapping[str, Any]) -> float:
     return plain.get(_BREAKAWAY, plain[_COULOMB])
 
 

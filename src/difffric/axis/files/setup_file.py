@@ -91,9 +91,10 @@ def parse_axis(text: str, name: str = "setup.toml") -> AxisSetup:
         fields[number.attribute] = value
         if more is not None:
             extras[number.key if number.section != "probe" else f"probe.{number.key}"] = more
-    effects = document.get("effects")
+    said = document.get("effects")
+    effects = said if isinstance(said, dict) else {}
     found: dict[str, dict[str, float]] = {}
-    for effect in [x for x in EFFECTS if isinstance(effects, dict) and x in effects]:
+    for effect in [x for x in EFFECTS if x in effects]:
         table = effects[effect] if isinstance(effects[effect], dict) else {}
         found[effect] = {}
         for key in [x for x in EFFECTS[effect].keys if x.name in table]:

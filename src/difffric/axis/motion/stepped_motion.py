@@ -16,6 +16,8 @@ from difffric.axis.effects import EFFECTS, Point, list_effect_keys
 from difffric.axis.motion.trajectory import SPEED, START, AxisTrajectory
 from difffric.axis.setup import BREAKAWAY, COULOMB, MASS, OFFSET, VISCOUS, AxisSetup
 
+ComplexLanes = NDArray[np.complex128]
+
 _TINY = 1e-30
 """Imaginary part that stands for a step along a parameter."""
 _DELAY = "drive_delay.delay_s"
@@ -27,7 +29,7 @@ class SteppedLaws:
     def __init__(self, setup: AxisSetup):
         values = setup.values
         self.names = [*values, START, SPEED]
-        self.values: dict[str, NDArray] = {}
+        self.values: dict[str, ComplexLanes] = {}
         for name, value in values.items():
             lanes = np.full(len(self.names), value, complex)
             lanes[self.names.index(name)] += 1j * _TINY
@@ -35,19 +37,19 @@ class SteppedLaws:
         self.effects = [(EFFECTS[x].law, list_effect_keys(x)) for x in EFFECTS
                         if x in setup.effects and not EFFECTS[x].delays]  # fmt: skip
 
-    def add_effects(self, x: NDArray, u: NDArray, sign: int, own: dict[str, Any]) -> Any:
+    def add_effects(self, x: ComplexLanes, u: ComplexLanes, sign: int, own: dict[str, Any]) -> Any:
         """What the effects add to the resistance."""
         point = Point(x, u, sign)
         return sum((law.resist(point, own, *(self.values[key] for key in keys))
                     for law, keys in self.effects), 0.0)  # fmt: skip
 
-    def accelerate(self, x: NDArray, u: NDArray, pull: NDArray, sign: int) -> NDArray:
+    def accelerate(self, x: ComplexLanes, u: ComplexLanes, pull: ComplexLanes, sign: int) -> ComplexLanes:
         """The acceleration [m/s²] while it moves in a direction."""
         v = self.values
         friction = sign * v[COULOMB] + v[VISCOUS] * u + self.add_effects(x, u, sign, v)
         return (pull - friction) / v[MASS]
 
-    def find_direction(self, x: NDArray, pull: NDArray) -> int:
+    def find_direction(self, x: ComplexLanes, pull: ComplexLanes) -> int:
         """Which way an axis at rest starts; 0: it sticks."""
         v = self.values
         stuck = {**v, COULOMB: v[BREAKAWAY]}
@@ -57,7 +59,7 @@ class SteppedLaws:
                 return sign
         return 0
 
-    def advance(self, x: NDArray, u: NDArray, pull: NDArray, sign: int, h: Any) -> tuple:
+    def advance(self, x: ComplexLanes, u: ComplexLanes, pull: ComplexLanes, sign: int, h: Any) -> tuple:
         """One Runge-Kutta step of a time h in one direction."""
         a1 = self.accelerate(x, u, pull, sign)
         u2 = u + h / 2 * a1
@@ -90,16 +92,16 @@ def step_motion(
         for begin, pull, h in _split_hold(k, force, time, delay):
             x, u, sign, seen = _hold(laws, x, u, sign, pull + laws.values[OFFSET], h)
             events += [(kind, begin + when) for kind, when in seen]
-    by = {name: xs[i, :].imag / _TINY for i, name in enumerate(laws.names)}
-    by_speed = {name: us[i, :].imag / _TINY for i, name in enumerate(laws.names)}
-    return AxisTrajectory(time, xs[0].real, us[0].real, by, by_speed, tuple(events))
+    by = {name: np.imag(xs[i]) / _TINY for i, name in enumerate(laws.names)}
+    by_speed = {name: np.imag(us[i]) / _TINY for i, name in enumerate(laws.names)}
+    return AxisTrajectory(time, np.real(xs[0]), np.real(us[0]), by, by_speed, tuple(events))
 
 
-def _split_hold(k: int, force: NDArray, time: NDArray, delay: NDArray) -> list[tuple]:
+def _split_hold(k: int, force: NDArray, time: NDArray, delay: ComplexLanes) -> list[tuple]:
     """(time of its begin, force, lasting (lanes,)) of each force that acts from sample k on: more
     than one where the motion answers late."""
     begin, end = time[k], time[k + 1]
-    if delay[0] == 0 and not delay.imag.any():
+    if delay[0] == 0 and not np.imag(delay).any():
         return [(begin, force[k], end - begin + 0 * delay)]
     first = int(np.searchsorted(time, begin - delay[0].real, side="right")) - 1
     parts, at, j = [], begin + 0 * delay, max(first, -1)
@@ -113,8 +115,8 @@ def _split_hold(k: int, force: NDArray, time: NDArray, delay: NDArray) -> list[t
 
 
 def _hold(
-    laws: SteppedLaws, x: NDArray, u: NDArray, sign: int, pull: NDArray, h: NDArray
-) -> tuple[NDArray, NDArray, int, list[tuple[str, float]]]:
+    laws: SteppedLaws, x: ComplexLanes, u: ComplexLanes, sign: int, pull: ComplexLanes, h: ComplexLanes
+) -> tuple[ComplexLanes, ComplexLanes, int, list[tuple[str, float]]]:
     """The state after a force that is held for a time h (lanes,), and the events on the way."""
     left, seen = h, []
     for _ in range(8):  # a sample has hardly ever more than two events
@@ -144,8 +146,8 @@ def _hold(
 
 
 def _find_rest(
-    laws: SteppedLaws, x: NDArray, u: NDArray, pull: NDArray, sign: int, h: NDArray
-) -> NDArray:
+    laws: SteppedLaws, x: ComplexLanes, u: ComplexLanes, pull: ComplexLanes, sign: int, h: ComplexLanes
+) -> ComplexLanes:
     """The time (lanes,) after which the speed is zero, in a bracket; exact in its derivatives."""
     low, high = 0.0, float(h[0].real)
     first = laws.accelerate(x, u, pull, sign)[0].real
@@ -162,5 +164,5 @@ def _find_rest(
     tau = min(max(tau, 0.0), float(h[0].real))
     at, speed = laws.advance(x, u, pull, sign, tau)
     slope = laws.accelerate(at, speed, pull, sign)
-    slope = np.where(slope.real == 0, 1.0, slope)
-    return tau - 1j * (speed / slope).imag
+    slope = np.where(np.real(slope) == 0, 1.0, slope)
+    return tau - 1j * np.imag(speed / slope)
