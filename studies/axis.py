@@ -3,7 +3,8 @@
     REFERENCE_JIT=1 python -m studies.axis [--cases 100] [--only fit|clean|hidden]
 
 Random axes of some twenty seconds at 1 kHz, to and fro at eight speeds, 1 µm of white or coloured
-encoder noise, 2 % scatter of the friction from stretch to stretch; set-ups off by a factor of three.
+encoder noise, 2 % scatter of the friction from stretch to stretch; set-ups off by a factor of
+three.
 """
 
 from __future__ import annotations

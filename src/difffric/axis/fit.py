@@ -104,6 +104,8 @@ def conclude_fit(
     scatter = float(np.sqrt(noise.sizes[-1])) if len(ready.data) > 1 else setup.scatter or 0.0
     if noise.sizes[-1] * 1e4 < 1e-4:
         scatter = scatter if scatter > 1e-4 else 0.0
+    covariance = _widen(end, scatter)
+    end = replace(end, noise=replace(noise, covariance=covariance))
     levels = find_levels(ready, end)
     stuck = None
     asked = free is None or BREAKAWAY in free
@@ -127,7 +129,7 @@ def conclude_fit(
     return AxisFit(
         setup=fitted,
         names=end.names,
-        covariance=noise.covariance,
+        covariance=covariance,
         scatter=scatter,
         scatter_error=scatter / np.sqrt(2.0 * max(len(ready.data) - 1, 1)),
         noise=_describe_noise(end),
@@ -143,6 +145,20 @@ def conclude_fit(
         data=ready.data,
         runs=ready.run_data,
     )
+
+
+def _widen(end: SearchEnd, scatter: float) -> np.ndarray:
+    """The covariance with the mean friction level as uncertain as the few stretches leave it: the
+    scatter is known from them alone, so that Student's t takes the normal distribution's place.
+    1.96 standard errors then hold 95 % of the truth."""
+    covariance, stretches = end.noise.covariance.copy(), len({x.stretch for x in end.problem.rows})
+    if COULOMB not in end.names or stretches < 3 or end.imposed:
+        return covariance
+    wider = (scipy.stats.t.ppf(0.975, stretches - 1) / scipy.stats.norm.ppf(0.975)) ** 2
+    i = [*end.names].index(COULOMB)
+    of_scatter = (scatter * end.values[COULOMB]) ** 2 / stretches
+    covariance[i, i] += (wider - 1) * min(of_scatter, covariance[i, i])
+    return covariance
 
 
 def _hold_at_zero(ready: PreparedRecording, end: SearchEnd) -> tuple[SearchEnd, list[str]]:

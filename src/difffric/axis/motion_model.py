@@ -113,9 +113,24 @@ class MotionModel:
         """`rate` [1/s] is k_v / m, by which the axis forgets its speed: the rows are what is left
         over in its position. At 0 they are twice integrated forces. Where the motion is `imposed`
         on the axis, and the force is what answers, they are forces as they are."""
-        self.runs, self.rate, self.imposed = runs, rate, imposed
+        self.runs: Sequence[RunData] = runs
+        self.rate, self.imposed = rate, imposed
         self.rows = [self._make_rows(run) for run in runs]
         self._fixed = [self._integrate_plain(k) for k in range(len(runs))]
+
+    @property
+    def duration(self) -> float:
+        """How long all runs last together [s]."""
+        return float(sum(run.tau[-1] for run in self.runs))
+
+    def select(self, chosen: Sequence[int]) -> MotionModel:
+        """Return the same model of some of the runs only."""
+        part = object.__new__(MotionModel)
+        part.runs = [self.runs[i] for i in chosen]
+        part.rate, part.imposed = self.rate, self.imposed
+        part.rows = [self.rows[i] for i in chosen]
+        part._fixed = [self._fixed[i] for i in chosen]
+        return part
 
     def evaluate(self, values: Mapping[str, float], names: Sequence[str]) -> RunResiduals:
         """Return what is left over at these values of all parameters, and the derivatives by the

@@ -32,17 +32,28 @@ class SearchEnd:
     imposed: bool
     converged: bool
     """whether the last step was small against the standard errors"""
+    model: MotionModel
 
     @property
     def criterion(self) -> float:
         """-2 log restricted likelihood of the data; where the motion is driven, of positions."""
         return self.noise.criterion
 
+    @property
+    def log_likelihood(self) -> float:
+        """-2 log likelihood of the positions, whatever rate the model was made for."""
+        if self.imposed:
+            return self.noise.log_likelihood
+        rate = self.values[VISCOUS] / self.values[MASS]
+        return self.noise.log_likelihood - (rate - self.model.rate) * self.model.duration
+
 
 _MOST_ROUNDS = 12
 """Rounds of a search at most; three are usual."""
 _SMALL = 0.03
 """Step, in standard errors, below which a search has converged."""
+_NEAR = 0.02
+"""Change of -2 log likelihood that is not worth a new model."""
 _CLEAR_MASS = 6.0
 """Standard errors that a mass must differ from 0 by, for the motion to count as driven."""
 
@@ -79,11 +90,17 @@ def search(
     imposed: bool,
     sizes: np.ndarray | None = None,
     hold_noise: bool = False,
+    model: MotionModel | None = None,
 ) -> SearchEnd:
-    """Return the best values of the named parameters, and the noise with them; with `hold_noise`
-    the noise stays of these sizes."""
+    """Return the best values of the named parameters, and the noise with them.
+
+    With `hold_noise` the noise stays of these sizes. A `model` that is near enough saves making
+    one for the rate at which the axis forgets its speed.
+    """
     values, converged = dict(start), False
-    problem, noise = _pose(runs, values, names, imposed), None
+    given = model
+    model = given or _make_model(runs, values, imposed)
+    problem, noise = _pose(model, values, names), None
     best = None
     for k in range(_MOST_ROUNDS):
         held = sizes if hold_noise else None
@@ -94,11 +111,11 @@ def search(
         errors = np.sqrt(np.maximum(np.diag(noise.covariance), 1e-300))
         if best is not None and noise.criterion > best[2].criterion + 0.5 and k < _MOST_ROUNDS - 1:
             values = {x: 0.5 * (values[x] + best[0][x]) for x in values}
-            problem = _pose(runs, values, names, imposed)
+            problem = _pose(model, values, names)
             if np.max(np.abs(noise.step) / errors) > 1e3:
                 best = None
             continue
-        best = (dict(values), problem, noise)
+        best = (dict(values), problem, noise, model)
         if np.max(np.abs(noise.step) / errors, initial=0.0) < _SMALL:
             converged = True
             break
@@ -109,18 +126,29 @@ def search(
                 for name, step in zip(names, noise.step, strict=True)
             },
         }
-        problem = _pose(runs, values, names, imposed)
+        if given is None and _is_far(model, values):
+            model = _make_model(runs, values, imposed)
+        problem = _pose(model, values, names)
     assert best is not None
-    values, problem, noise = best
-    return SearchEnd(values, tuple(names), noise, problem, imposed, converged)
+    values, problem, noise, model = best
+    return SearchEnd(values, tuple(names), noise, problem, imposed, converged, model)
 
 
-def _pose(
-    runs: Sequence[RunData], values: Mapping[str, float], names: Sequence[str], imposed: bool
-) -> NoiseProblem:
-    """The linear problem of a step from these values."""
+def _make_model(runs: Sequence[RunData], values: Mapping[str, float], imposed: bool) -> MotionModel:
     rate = 0.0 if imposed else max(values[VISCOUS] / values[MASS], 0.0)
-    model = MotionModel(runs, rate, imposed)
+    return MotionModel(runs, rate, imposed)
+
+
+def _is_far(model: MotionModel, values: Mapping[str, float]) -> bool:
+    """Whether a model was made for a rate that would now count as another likelihood."""
+    if model.imposed:
+        return False
+    rate = max(values[VISCOUS] / values[MASS], 0.0)
+    return abs(rate - model.rate) * model.duration > _NEAR
+
+
+def _pose(model: MotionModel, values: Mapping[str, float], names: Sequence[str]) -> NoiseProblem:
+    """The linear problem of a step from these values."""
     return pose_step(model, model.evaluate(values, names), values, names)
 
 

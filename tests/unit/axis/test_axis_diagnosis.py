@@ -27,7 +27,7 @@ HIDDEN = {
 
 
 def diagnose(seed=1, delay=0.0, **effects):
-    speeds = (0.02, 0.05, 0.1, 0.2, 0.3)
+    speeds = (0.05, 0.1, 0.2, 0.3)
     return diagnose_axis(ROUGH, make(Axis(delay=delay, effects=effects), seed=seed, speeds=speeds))
 
 
@@ -38,7 +38,12 @@ def test_an_axis_that_hides_nothing_is_adequate():
     assert found.gain.before == pytest.approx(1.0, abs=0.1)
 
 
-@pytest.mark.parametrize("kind", HIDDEN)
+QUICK = ("friction_direction", "cogging", "stribeck")
+
+
+@pytest.mark.parametrize(
+    "kind", [*QUICK, *(pytest.param(x, marks=pytest.mark.slow) for x in HIDDEN if x not in QUICK)]
+)
 def test_a_hidden_effect_is_named_with_its_numbers(kind):
     hidden, numbers = HIDDEN[kind]
     found = diagnose(**hidden)
@@ -57,6 +62,7 @@ def test_a_late_drive_is_named():
     assert found.causes[0].parameters["delay_s"][0] == pytest.approx(0.002, rel=0.01)
 
 
+@pytest.mark.slow
 def test_two_effects_are_both_named():
     hidden = {**HIDDEN["friction_direction"][0], **HIDDEN["cogging"][0]}
     assert {x.id for x in diagnose(**hidden).causes} == {"friction_direction", "cogging"}

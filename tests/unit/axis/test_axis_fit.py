@@ -50,7 +50,9 @@ def test_no_start_is_too_far():
     data = make(Axis(), seed=5)
     far, near = (fit_axis(replace(ROUGH, mass=m, coulomb=c), data) for m, c in ((1, 1), (95, 20)))
     for name in TRUTH:
-        assert far.value(name) == pytest.approx(near.value(name), abs=0.1 * near.standard_error(name))
+        assert far.value(name) == pytest.approx(
+            near.value(name), abs=0.1 * near.standard_error(name)
+        )
 
 
 @pytest.mark.parametrize("disturbance", [0.3, 3.0])
@@ -95,7 +97,9 @@ def test_a_motion_that_is_imposed_gives_the_friction_and_leaves_the_mass_open():
     t = np.arange(0, 40, 0.01)
     x = 0.02 * (2 / np.pi) * np.arcsin(np.sin(2 * np.pi * t / 8))
     force = 4.0 * np.sign(np.gradient(x)) - 0.75 + 0.3 * g.normal(size=len(t))
-    data = AxisRecordings([AxisStretch("1", t, force, x + 1e-5 * g.normal(size=len(t)))], are_given=False)
+    data = AxisRecordings(
+        [AxisStretch("1", t, force, x + 1e-5 * g.normal(size=len(t)))], are_given=False
+    )
     fit = fit_axis(AxisSetup(mass=0.5, coulomb=1.0), data)
     assert fit.imposed
     assert [x["parameters"][0] for x in fit.not_identifiable] == ["mass_kg", "k_v_N_s_per_m"]

@@ -10,7 +10,7 @@ from difffric.axis.motion_model import MotionModel
 from difffric.axis.noise_model import NoiseProblem
 from difffric.axis.preparation import PreparedRecording
 from difffric.axis.search import pose_step, search
-from difffric.axis.setup import COULOMB, MASS, VISCOUS
+from difffric.axis.setup import COULOMB
 
 _FOLDS = 5
 """Groups of stretches, each of which is left out once."""
@@ -22,6 +22,7 @@ def judge_held_out(
     names: Sequence[str],
     imposed: bool,
     sizes: np.ndarray,
+    model: MotionModel,
 ) -> float | None:
     """Return the error on stretches held out, in units of the noise of these sizes: 1 is perfect.
 
@@ -34,21 +35,20 @@ def judge_held_out(
     folds = [stretches[i::_FOLDS] for i in range(min(_FOLDS, len(stretches)))]
     total, count = 0.0, 0
     for fold in folds:
-        train = [x for x in ready.run_data if x.run.stretch not in fold]
-        test = [x for x in ready.run_data if x.run.stretch in fold]
-        if len({x.run.sign for x in train}) < len({x.run.sign for x in ready.run_data}):
+        is_out = [x.run.stretch in fold for x in model.runs]
+        train = model.select([i for i, out in enumerate(is_out) if not out])
+        test = model.select([i for i, out in enumerate(is_out) if out])
+        if len({x.run.sign for x in train.runs}) < len({x.run.sign for x in model.runs}):
             continue
-        end = search(train, values, names, imposed, sizes, hold_noise=True)
-        rate = 0.0 if imposed else max(end.values[VISCOUS] / end.values[MASS], 0.0)
-        model = MotionModel(test, rate, imposed)
-        step = pose_step(model, model.evaluate(end.values, [COULOMB]), end.values, [COULOMB])
-        present = sorted({row.stretch for row in model.rows})
+        end = search(train.runs, values, names, imposed, sizes, hold_noise=True, model=train)
+        step = pose_step(test, test.evaluate(end.values, [COULOMB]), end.values, [COULOMB])
+        present = sorted({row.stretch for row in test.rows})
         own = []
-        for row, level in zip(model.rows, step.levels, strict=True):
+        for row, level in zip(test.rows, step.levels, strict=True):
             column = np.zeros((len(level), len(present)))
             column[:, present.index(row.stretch)] = level
             own.append(column)
-        problem = NoiseProblem(model.rows, step.targets, own, step.levels)
+        problem = NoiseProblem(test.rows, step.targets, own, step.levels)
         fixed = sizes.copy()
         fixed[-1] = 0.0
         total += problem.solve(fixed)[0].chi2

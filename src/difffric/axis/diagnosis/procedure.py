@@ -24,7 +24,6 @@ from difffric.axis.diagnosis.verdict import (
 from difffric.axis.effects import EFFECTS, list_effect_keys
 from difffric.axis.fit import choose_free, conclude_fit
 from difffric.axis.identifiability import find_open
-from difffric.axis.motion_model import MotionModel
 from difffric.axis.one_thread import hold_one_thread
 from difffric.axis.preparation import PreparedRecording, keep_sliding, prepare_recording
 from difffric.axis.recordings import AxisRecordings
@@ -97,8 +96,8 @@ def diagnose_axis(
         found, small, end = _part_by_size(ready, found, plain, end, matters)
         tell("judging on stretches held out", 0.8)
         gain = AxisGain(
-            judge_held_out(ready, plain.values, plain.names, imposed, end.noise.sizes),
-            judge_held_out(ready, end.values, end.names, imposed, end.noise.sizes),
+            judge_held_out(ready, plain.values, plain.names, imposed, end.noise.sizes, plain.model),
+            judge_held_out(ready, end.values, end.names, imposed, end.noise.sizes, end.model),
         )
         before = conclude_fit(setup, ready, plain, left_open)
         after = conclude_fit(setup, ready, end, left_open) if found else before
@@ -157,8 +156,8 @@ def _does_hold(ready: PreparedRecording, end: SearchEnd, one: _Tried) -> bool:
         left = float(np.sqrt(sizes[:-1].sum()))
         if _measure_change(ready, one, new)[0] < _SHARE_LEFT * left:
             return False
-    before = judge_held_out(ready, end.values, end.names, end.imposed, sizes)
-    after = judge_held_out(ready, new.values, new.names, new.imposed, sizes)
+    before = judge_held_out(ready, end.values, end.names, end.imposed, sizes, end.model)
+    after = judge_held_out(ready, new.values, new.names, new.imposed, sizes, new.model)
     return before is None or after is None or after < before
 
 
@@ -183,14 +182,14 @@ def _fit_with(ready: PreparedRecording, end: SearchEnd, promise: Promise) -> _Tr
     values = end.values | promise.start
     names = [*end.names, *(x for x in promise.names if x not in end.names)]
     try:
-        new = search(ready.run_data, values, names, end.imposed, end.noise.sizes)
+        new = search(ready.run_data, values, names, end.imposed, end.noise.sizes, model=end.model)
     except np.linalg.LinAlgError:
         return None
     if promise.effect == "stribeck" and new.values[BREAKAWAY] <= new.values[COULOMB]:
         return None
     if promise.effect == "friction_strengthening" and new.values[promise.names[0]] <= 0:
         return None
-    drop = end.noise.log_likelihood - new.noise.log_likelihood
+    drop = end.log_likelihood - new.log_likelihood
     p_value = _find_chance(drop, promise)
     return _Tried(promise, new, drop, p_value, _measure_worth(drop, promise, end))
 
@@ -225,7 +224,7 @@ def _drop_idle(
     for one in list(found[:-1]):
         rest = [x for x in found if x is not one]
         without = _refit(ready, plain, rest, end)
-        drop = without.noise.log_likelihood - end.noise.log_likelihood
+        drop = without.log_likelihood - end.log_likelihood
         if _find_chance(drop, one.promise) > _CHANCE:
             found, end = rest, without
     return found, end
@@ -242,7 +241,7 @@ def _refit(
     if BREAKAWAY not in kept:
         values[BREAKAWAY] = plain.values[BREAKAWAY]
     names = [*plain.names, *(x for x in end.names if x in kept and x not in plain.names)]
-    return search(ready.run_data, values, names, end.imposed, end.noise.sizes)
+    return search(ready.run_data, values, names, end.imposed, end.noise.sizes, model=end.model)
 
 
 def _part_by_size(
@@ -354,8 +353,7 @@ def _find_remainder(
 def _locate(ready: PreparedRecording, end: SearchEnd) -> str:
     """`friction` where what is left turns with the direction, `pusher` where it does not: by free
     curves over position and over speed."""
-    rate = 0.0 if end.imposed else max(end.values[VISCOUS] / end.values[MASS], 0.0)
-    model = MotionModel(ready.run_data, rate, end.imposed)
+    model = end.model
     problem = pose_step(model, model.evaluate(end.values, end.names), end.values, end.names)
     scale = 1.0 if end.imposed else 1.0 / end.values[MASS]
     place = np.concatenate([r.point.position for r in ready.run_data])

@@ -13,7 +13,7 @@ from difffric.axis.motion_model import MotionModel
 from difffric.axis.noise_model import NoiseProblem
 from difffric.axis.preparation import PreparedRecording
 from difffric.axis.search import SearchEnd, pose_step
-from difffric.axis.setup import BREAKAWAY, COULOMB, MASS, VISCOUS
+from difffric.axis.setup import BREAKAWAY, COULOMB, MASS
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,7 @@ def screen_effects(
     ready: PreparedRecording, end: SearchEnd, candidates: Sequence[str]
 ) -> list[Promise]:
     """Return what each candidate promises beside the parameters that were fitted."""
-    rate = 0.0 if end.imposed else max(end.values[VISCOUS] / end.values[MASS], 0.0)
-    model = MotionModel(ready.run_data, rate, end.imposed)
+    model = end.model
     problem = pose_step(model, model.evaluate(end.values, end.names), end.values, end.names)
     scale = 1.0 if end.imposed else 1.0 / end.values[MASS]
     found = []

@@ -16,7 +16,7 @@ from difffric.axis.effects import EFFECTS, Point, list_effect_keys
 from difffric.axis.motion.trajectory import SPEED, START, AxisTrajectory
 from difffric.axis.setup import BREAKAWAY, COULOMB, MASS, OFFSET, VISCOUS, AxisSetup
 
-ComplexLanes = NDArray[np.complex128]
+Lanes = NDArray[np.complex128]
 
 _TINY = 1e-30
 """Imaginary part that stands for a step along a parameter."""
@@ -29,7 +29,7 @@ class SteppedLaws:
     def __init__(self, setup: AxisSetup):
         values = setup.values
         self.names = [*values, START, SPEED]
-        self.values: dict[str, ComplexLanes] = {}
+        self.values: dict[str, Lanes] = {}
         for name, value in values.items():
             lanes = np.full(len(self.names), value, complex)
             lanes[self.names.index(name)] += 1j * _TINY
@@ -37,19 +37,19 @@ class SteppedLaws:
         self.effects = [(EFFECTS[x].law, list_effect_keys(x)) for x in EFFECTS
                         if x in setup.effects and not EFFECTS[x].delays]  # fmt: skip
 
-    def add_effects(self, x: ComplexLanes, u: ComplexLanes, sign: int, own: dict[str, Any]) -> Any:
+    def add_effects(self, x: Lanes, u: Lanes, sign: int, own: dict[str, Any]) -> Any:
         """What the effects add to the resistance."""
         point = Point(x, u, sign)
         return sum((law.resist(point, own, *(self.values[key] for key in keys))
                     for law, keys in self.effects), 0.0)  # fmt: skip
 
-    def accelerate(self, x: ComplexLanes, u: ComplexLanes, pull: ComplexLanes, sign: int) -> ComplexLanes:
+    def accelerate(self, x: Lanes, u: Lanes, pull: Lanes, sign: int) -> Lanes:
         """The acceleration [m/s²] while it moves in a direction."""
         v = self.values
         friction = sign * v[COULOMB] + v[VISCOUS] * u + self.add_effects(x, u, sign, v)
         return (pull - friction) / v[MASS]
 
-    def find_direction(self, x: ComplexLanes, pull: ComplexLanes) -> int:
+    def find_direction(self, x: Lanes, pull: Lanes) -> int:
         """Which way an axis at rest starts; 0: it sticks."""
         v = self.values
         stuck = {**v, COULOMB: v[BREAKAWAY]}
@@ -59,7 +59,7 @@ class SteppedLaws:
                 return sign
         return 0
 
-    def advance(self, x: ComplexLanes, u: ComplexLanes, pull: ComplexLanes, sign: int, h: Any) -> tuple:
+    def advance(self, x: Lanes, u: Lanes, pull: Lanes, sign: int, h: Any) -> tuple:
         """One Runge-Kutta step of a time h in one direction."""
         a1 = self.accelerate(x, u, pull, sign)
         u2 = u + h / 2 * a1
@@ -97,7 +97,7 @@ def step_motion(
     return AxisTrajectory(time, np.real(xs[0]), np.real(us[0]), by, by_speed, tuple(events))
 
 
-def _split_hold(k: int, force: NDArray, time: NDArray, delay: ComplexLanes) -> list[tuple]:
+def _split_hold(k: int, force: NDArray, time: NDArray, delay: Lanes) -> list[tuple]:
     """(time of its begin, force, lasting (lanes,)) of each force that acts from sample k on: more
     than one where the motion answers late."""
     begin, end = time[k], time[k + 1]
@@ -115,8 +115,13 @@ def _split_hold(k: int, force: NDArray, time: NDArray, delay: ComplexLanes) -> l
 
 
 def _hold(
-    laws: SteppedLaws, x: ComplexLanes, u: ComplexLanes, sign: int, pull: ComplexLanes, h: ComplexLanes
-) -> tuple[ComplexLanes, ComplexLanes, int, list[tuple[str, float]]]:
+    laws: SteppedLaws,
+    x: Lanes,
+    u: Lanes,
+    sign: int,
+    pull: Lanes,
+    h: Lanes,
+) -> tuple[Lanes, Lanes, int, list[tuple[str, float]]]:
     """The state after a force that is held for a time h (lanes,), and the events on the way."""
     left, seen = h, []
     for _ in range(8):  # a sample has hardly ever more than two events
@@ -146,8 +151,13 @@ def _hold(
 
 
 def _find_rest(
-    laws: SteppedLaws, x: ComplexLanes, u: ComplexLanes, pull: ComplexLanes, sign: int, h: ComplexLanes
-) -> ComplexLanes:
+    laws: SteppedLaws,
+    x: Lanes,
+    u: Lanes,
+    pull: Lanes,
+    sign: int,
+    h: Lanes,
+) -> Lanes:
     """The time (lanes,) after which the speed is zero, in a bracket; exact in its derivatives."""
     low, high = 0.0, float(h[0].real)
     first = laws.accelerate(x, u, pull, sign)[0].real
