@@ -82,6 +82,7 @@ def _estimate(
         fixed = sizes.copy()
         fixed[-1] = 0.0
         noise = problem.solve(fixed)[0]
+    noise = problem.weigh_equally(noise) if imposed else noise
     variance = np.diag(noise.covariance).copy()
     if known:
         # What the levels answer to the other numbers: solve with their columns as targets.

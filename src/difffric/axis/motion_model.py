@@ -50,6 +50,8 @@ class RunData:
     """delay [s] -> the force as it acts that much later (n,), integrated twice and once"""
     x: NDArray
     """(n,) position less that at the run's first sample [m]"""
+    smooth_force: NDArray
+    """(n,) the force, smoothed as the acceleration is, for a person to look at [N]"""
     acceleration: NDArray
     """(n,) slope of the speed [m/s²], for a motion that is imposed"""
     point: Point
@@ -80,8 +82,11 @@ def prepare_run(
     )
     late = partial(_delay_force, stretch, t[:used])
     x = point.position - point.position[0]
+    smooth = motion.force[part][:used]
     acceleration = np.gradient(motion.speed, stretch.time)[part][:used]
-    return RunData(run, float(t[0]), edges, size, tau, hold, force, late, x, acceleration, point)
+    return RunData(
+        run, float(t[0]), edges, size, tau, hold, force, late, x, smooth, acceleration, point
+    )
 
 
 def choose_block_time(runs: Sequence[OneSignRun], stretches: Sequence[AxisStretch]) -> float:

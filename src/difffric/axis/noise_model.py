@@ -63,8 +63,10 @@ class NoiseFit:
     """-2 log restricted likelihood"""
     log_likelihood: float
     """-2 log of the likelihood itself, by which fits with other parameters compare"""
+    before_step: float
+    """the same without the step"""
     chi2: float
-    """the rows' squared length in units of the noise"""
+    """the rows' squared length in units of the noise, after the step"""
     levels: NDArray
     """(stretches,) best estimate of each stretch's deviation of the friction level"""
     level_variances: NDArray
@@ -155,8 +157,9 @@ class NoiseProblem:
         criterion = logdet + of_columns + chi2
         left = crossed[:, -1] - crossed[:, :-1] @ step
         likelihood = logdet + chi2
+        before = logdet + float(yy)
         found = NoiseFit(
-            sizes, step, covariance, criterion, likelihood, chi2, shrink * left, shrink
+            sizes, step, covariance, criterion, likelihood, before, chi2, shrink * left, shrink
         )
 
         slopes = np.zeros(len(sizes))

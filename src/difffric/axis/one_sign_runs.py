@@ -6,7 +6,7 @@ Within a run the friction keeps its sign, so that no event needs to be found in 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -26,6 +26,8 @@ class MeasuredMotion:
     """(n,) 1 forwards, -1 backwards, 0 at rest or too slow to tell"""
     half_window: int
     """samples on either side of one that its speed is made of"""
+    force: NDArray
+    """(n,) the drive's force, smoothed as the slope of that speed is [N]"""
 
 
 @dataclass(frozen=True)
@@ -88,10 +90,15 @@ def measure_motion(stretch: AxisStretch, noise: float) -> MeasuredMotion:
             break
         half = min(2 * half, max(half + 1, round(_WIDEST / step)))
     least = max(_CLEAR * error, _SLOW * usual)
-    speed = speed if is_even else np.interp(t, even, speed)
-    return MeasuredMotion(
-        speed, np.where(np.abs(speed) > least, np.sign(speed), 0).astype(int), half
-    )
+    force = stretch.force if is_even else np.interp(even, t, stretch.force)
+    once = np.cumsum(force - force.mean()) * step
+    path = np.concatenate(([0.0], np.cumsum(once - np.diff(once, prepend=0.0) / 2)[:-1])) * step
+    smooth = np.asarray(savgol_filter(path, 2 * half + 1, 2, deriv=1, delta=step))
+    smooth = np.gradient(smooth, step) + force.mean()
+    if not is_even:
+        speed, smooth = np.interp(t, even, speed), np.interp(t, even, smooth)
+    sign = np.where(np.abs(speed) > least, np.sign(speed), 0)
+    return MeasuredMotion(speed, sign.astype(int), half, smooth)
 
 
 def keep_fast(motions: Sequence[MeasuredMotion]) -> list[MeasuredMotion]:
@@ -100,7 +107,9 @@ def keep_fast(motions: Sequence[MeasuredMotion]) -> list[MeasuredMotion]:
     level."""
     usual = float(np.quantile(np.abs(np.concatenate([m.speed for m in motions])), 0.9))
     return [
-        MeasuredMotion(m.speed, np.where(np.abs(m.speed) > _STEADY * usual, m.direction, 0), 0)
+        replace(
+            m, direction=np.where(np.abs(m.speed) > _STEADY * usual, m.direction, 0), half_window=0
+        )
         for m in motions
     ]
 

@@ -49,7 +49,8 @@ def measure_friction(fit: AxisFit) -> MeasuredFriction:
         width = max(1, round(_SMOOTH / step))
         delay = v.get("drive_delay.delay_s", 0.0)
         late = max(0, round(delay / step))
-        force = np.concatenate([np.full(late, run.force[0]), run.force])[: len(run.force)]
+        drive = run.force if fit.imposed else run.smooth_force
+        force = np.concatenate([np.full(late, drive[0]), drive])[: len(drive)]
         left = force + v[OFFSET] - v[MASS] * run.acceleration * (not fit.imposed)
         smooth = uniform_filter1d(left, width)
         law = compute_friction(fit, run.point)

@@ -50,6 +50,8 @@ class SearchEnd:
 
 _MOST_ROUNDS = 12
 """Rounds of a search at most; three are usual."""
+_WORSE = 0.5
+"""Rise of -2 log likelihood from which on a step was too long, and is halved."""
 _SMALL = 0.03
 """Step, in standard errors, below which a search has converged."""
 _NEAR = 0.02
@@ -102,18 +104,16 @@ def search(
     model = given or _make_model(runs, values, imposed)
     problem, noise = _pose(model, values, names), None
     best = None
-    for k in range(_MOST_ROUNDS):
+    for _ in range(_MOST_ROUNDS):
         held = sizes if hold_noise else None
         noise = problem.fit(sizes) if held is None else problem.solve(held)[0]
         sizes = noise.sizes
         if imposed:
             noise = problem.weigh_equally(noise)
         errors = np.sqrt(np.maximum(np.diag(noise.covariance), 1e-300))
-        if best is not None and noise.criterion > best[2].criterion + 0.5 and k < _MOST_ROUNDS - 1:
+        if best is not None and noise.before_step > best[2].before_step + _WORSE:
             values = {x: 0.5 * (values[x] + best[0][x]) for x in values}
             problem = _pose(model, values, names)
-            if np.max(np.abs(noise.step) / errors) > 1e3:
-                best = None
             continue
         best = (dict(values), problem, noise, model)
         if np.max(np.abs(noise.step) / errors, initial=0.0) < _SMALL:

@@ -55,6 +55,7 @@ def draw_residual(fit: AxisFit, plain: AxisFit | None = None) -> Figure:
         figure, axes = make_figure(
             1, 7.2, 1.2 + 2.6 * len(both), rows=len(both), squeeze=False, sharex=True, sharey=True
         )
+        spread = 0.0
         for ax, one, title in zip(axes[:, 0], both, titles, strict=True):
             found = measure_friction(one)
             left = found.friction - found.law
@@ -71,8 +72,9 @@ def draw_residual(fit: AxisFit, plain: AxisFit | None = None) -> Figure:
                 some = np.flatnonzero(mine)[:: max(1, mine.sum() * 2 // _MOST_POINTS)]
                 ax.plot(to_mm(found.position[some]), left[some], ".", color=colour, ms=2,
                         alpha=0.15, mew=0)  # fmt: skip
-                ax.plot(middle[count > 0], mean[count > 0], color=colour, lw=1.3, label=word)
-            spread = np.quantile(np.abs(left), 0.98)
+                seen = count > 0
+                ax.plot(middle[seen], mean[seen], color=colour, lw=1.3, label=word)
+            spread = max(spread, float(np.quantile(np.abs(left), 0.98)))
             ax.set_ylim(-1.3 * spread, 1.3 * spread)
             ax.axhline(0, color="#333", lw=0.6)
             ax.set_ylabel("force left over [N]")
