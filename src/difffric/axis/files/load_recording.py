@@ -149,7 +149,7 @@ def _read_tdms(path: str | os.PathLike) -> AxisRecordings:
     open_file(path).close()
     try:
         file = nptdms.TdmsFile.read(str(path))
-    except (ValueError, OSError, EOFError, KeyError) as error:
+    except Exception as error:  # npTDMS raises all sorts for a damaged file
         raise InputError(f"{path}: not a TDMS file that can be read: {error}") from None
     problems, stretches, units = [], [], set()
     for group in file.groups():
