@@ -22,15 +22,16 @@ from pathlib import Path
 import numpy as np
 
 from studies import diagnosis_figures as figures
-from studies import runs
+from studies import reliability, runs
 from tests.hidden import case as cases
-from tests.hidden import random_case, strength, with_nuisances, write
+from tests.hidden import friction_of, random_case, strength, with_nuisances, write
 from tests.hidden.outsiders import TABLE as OUTSIDERS
 from tests.hidden.scaling import with_misfit
 from tests.reference.effect_parameters import NULLS
 
 PAGE = runs.ROOT / "docs" / "study.md"
 IMAGE = runs.ROOT / "docs" / "images" / "diagnosis_confusion.png"
+RELIABILITY = IMAGE.with_name("diagnosis_reliability.png")
 EFFECTS = tuple(NULLS)
 AT_NO_STRENGTH = ("normal_force", "pusher_duration")
 """A normal force needs a second mass to be seen; a duration has no small size: it begins to show
@@ -164,7 +165,7 @@ def run_case(group: str, i: int, keep: Path | None = None) -> dict:
         line["seconds"] = time.perf_counter() - began
     told = found.as_dict()
     told.pop("experiments")
-    away = np.abs(np.array(told.pop("mu_s")) - [push.mu_s for push in case.pushes])
+    away = np.abs(np.array(told.pop("mu_s")) - friction_of(case))
     within = float(np.mean(away <= _NINETY_FIVE * np.array(told.pop("mu_s_standard_error"))))
     return {**line, **told, "mu_s_within": within, "true_model": true_model(found, case)}
 
@@ -174,10 +175,12 @@ def _exponent(case: cases.Case) -> float:
 
 
 def true_model(found, case: cases.Case) -> dict | None:
-    """The error on held-out pushes of the model that made the data, fitted from the truth, and by
-    how much it beats the diagnosis's own in -2 log likelihood. None: not one of the catalogue's,
-    or not to be followed."""
+    """The error on held-out pushes of the model that made the data, fitted from the truth, by how
+    much it beats the diagnosis's own in -2 log likelihood, and how probable it is that chance beats
+    the plain model by as much as it does. None: not one of the catalogue's, or not to be
+    followed."""
     from difffric.diagnosis.cross_validation import assign_folds
+    from difffric.diagnosis.score_test import compute_p_value
     from difffric.estimation import ensemble as en
     from difffric.estimation import ensemble_refits, held_out
     from difffric.rig.catalogue import numbers_of
@@ -209,10 +212,13 @@ def true_model(found, case: cases.Case) -> dict | None:
         return None
     at = ensemble_refits.refit(task, at, 30)
     folds = assign_folds(np.asarray(task.model.pushes.velocity), False)
+    drop = float(en.criterion(task, plain)[0] - en.criterion(task, at)[0])
+    effect, looked_for = next(iter(case.effects)), len(state.data.looked_for)
     squares = held_out.predict_held_out(task, replace(at, spread=base.spread), folds).squares
     return {
         "heldout_nrmse": float(np.sqrt(squares.sum() / task.counts.sum())),
         "better_by": float(en.criterion(task, base)[0] - en.criterion(task, at)[0]),
+        "p_value": compute_p_value(effect, drop, looked_for),
     }
 
 
@@ -229,6 +235,7 @@ def main(words: Sequence[str] | None = None) -> int:
     print(text)
     if shard == (1, 1):
         figures.confusion(everything, IMAGE)
+        reliability.draw(figures.with_one(everything), RELIABILITY)
         runs.write_into(asked.page, text, "diagnoses")
     return 0
 

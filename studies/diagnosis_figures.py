@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import stats
 
+from difffric.diagnosis.score_test import SIGNIFICANT
+from studies import reliability
 from studies.calibration_figures import Share
 from tests.hidden.case import COMPONENTS
 from tests.hidden.sizes import AMPLITUDES
@@ -23,13 +24,16 @@ ONE = (
     "background, 1 %", "three times, 3 %",
 )  # fmt: skip
 """Groups in whose cases one effect is hidden."""
-BINS = (0.0, 0.5, 0.8, 0.95, 0.99, 1.0)
-"""Of stated probabilities."""
 
 
 def answered(lines: Sequence[dict]) -> list[dict]:
     """The cases that were made and diagnosed."""
     return [line for line in lines if "error" not in line and "skipped" not in line]
+
+
+def with_one(everything: Mapping[str, Sequence[dict]]) -> list[dict]:
+    """The cases in which one effect was hidden."""
+    return [line for group in ONE for line in answered(everything.get(group, ()))]
 
 
 def sets(line: dict) -> list[set[str]]:
@@ -128,7 +132,21 @@ def clean_rows(lines: Sequence[dict]) -> list[tuple[str, str]]:
     return [
         ("something named (asked: 1 %)", f"{alarms}, at most {_percent(upper(alarms))}"),
         ("`unexplained`", str(share(lines, lambda x: x["verdict"] == "unexplained"))),
+        interval_row(lines),
     ]
+
+
+def is_sure(line: dict) -> bool:
+    """Whether the hidden effect's own test, fitted from the truth, is significant."""
+    true = line.get("true_model")
+    return true is not None and true.get("p_value", 1.0) < SIGNIFICANT
+
+
+def interval_row(lines: Sequence[dict]) -> tuple[str, str]:
+    """How often the intervals of mu_s hold the friction that a push had."""
+    held = [x["mu_s_within"] for x in lines if "mu_s_within" in x]
+    share_held = _percent(float(np.mean(held))) if held else "-"
+    return "95 % intervals of mu_s that hold it (asked: 93 to 97 %)", share_held
 
 
 def hidden_rows(lines: Sequence[dict]) -> list[tuple[str, str]]:
@@ -139,15 +157,21 @@ def hidden_rows(lines: Sequence[dict]) -> list[tuple[str, str]]:
     rows = [
         ("first set holds the truth, effects with a score test", str(share(local, first_right))),
         ("the same, effects that are scanned", str(share(scanned, first_right))),
+        ("the truth's own test is significant", str(share(lines, is_sure))),
+        (
+            "first set holds the truth, of these (asked: 97 %)",
+            str(share([x for x in lines if is_sure(x)], first_right)),
+        ),
         ("the truth in the first set, of those that name any", str(share(named, first_right))),
         ("a cause that stands for nothing hidden", str(share(lines, spurious))),
         ("falsely `unexplained`", str(share(lines, lambda x: x["verdict"] == "unexplained"))),
         ("within three standard errors of the true size", str(_flat(lines, sized))),
         ("the right sign of the effect", str(_flat(lines, signed))),
+        interval_row(lines),
     ]
     if named:
         size = np.median([len(sets(x)[0]) for x in named])
-        rows.insert(4, ("median size of the first set", f"{size:.0f}"))
+        rows.insert(6, ("median size of the first set", f"{size:.0f}"))
     return rows + gain_rows(lines)
 
 
@@ -225,35 +249,6 @@ def outsider_rows(lines: Sequence[dict]) -> list[tuple[str, str]]:
     ]
 
 
-def probabilities(lines: Sequence[dict]) -> list[str]:
-    """Stated probabilities beside how often the first cause was the truth."""
-    there = [x for x in lines if x["causes"]]
-    p = np.array([x["causes"][0]["probability"] for x in there])
-    right = np.array([x["causes"][0]["id"] in x["effects"] for x in there])
-    out = ["| stated | cases | mean stated | right |", "| --- | --- | --- | --- |"]
-    for low, high in pairwise(BINS):
-        mine = (p > low) & (p <= high)
-        if mine.any():
-            out.append(
-                f"| {low:g} to {high:g} | {mine.sum()} | {p[mine].mean():.3f} "
-                f"| {right[mine].mean():.3f} |"
-            )
-    if len(p) > 20 and not right.all():
-        out.append(f"\nSlope of log odds (asked: 0.9 to 1.1): {slope(p, right):.2f}.")
-    return out
-
-
-def slope(p: np.ndarray, right: np.ndarray) -> float:
-    """b of logit P(right) = b logit p, by maximum likelihood; p is held within 1e-4 of 0 and 1."""
-    q = np.clip(p, 1e-4, 1 - 1e-4)
-    odds = np.log(q / (1 - q))
-
-    def cost(b):
-        return np.logaddexp(0, np.where(right, -b, b) * odds).sum()
-
-    return float(optimize.minimize_scalar(cost, bounds=(0, 10), method="bounded").x)
-
-
 def rows_of(group: str, lines: Sequence[dict]) -> list[tuple[str, str]]:
     """A group's figures."""
     good = answered(lines)
@@ -290,9 +285,12 @@ def markdown(everything: Mapping[str, Sequence[dict]], code: str) -> str:
         if lines:
             title = group if "=" in group else group.capitalize()
             parts += [f"### {title}", table(rows_of(group, lines))]
-    one = [x for group in ONE for x in answered(everything.get(group, ()))]
+    one = with_one(everything)
     if one:
-        parts += ["### Stated probabilities, one effect hidden", "\n".join(probabilities(one))]
+        parts += [
+            "### Stated probabilities, one effect hidden",
+            "\n".join(reliability.tabulate(one)),
+        ]
     if found := missed(everything):
         parts += ["Not in the first set:", "\n".join(f"- {x}" for x in found)]
     return "\n\n".join(parts)
@@ -307,7 +305,7 @@ def confusion(everything: Mapping[str, Sequence[dict]], path: Path) -> None:
     """What was hidden against what was named first, as a picture."""
     from matplotlib.figure import Figure
 
-    lines = [x for group in ONE for x in answered(everything.get(group, ()))]
+    lines = with_one(everything)
     if not lines:
         return
     names = [e for e in COMPONENTS if any(e in x["effects"] for x in lines)]

@@ -8,7 +8,7 @@ from tests.hidden.case import Case, Noise, Push
 from tests.hidden.draw import random_case, with_nuisances
 from tests.hidden.scaling import with_strength
 from tests.hidden.signal import Invisible, cosine, own_strength, strength
-from tests.hidden.simulate import heldout, record, table, write
+from tests.hidden.simulate import friction_of, heldout, record, table, write
 
 __all__ = [
     "Case",
@@ -16,6 +16,7 @@ __all__ = [
     "Noise",
     "Push",
     "cosine",
+    "friction_of",
     "heldout",
     "own_strength",
     "random_case",

@@ -65,6 +65,17 @@ def numbers(case: Case) -> tuple[np.ndarray, np.ndarray]:
     return np.array(rows), others
 
 
+def friction_of(case: Case) -> np.ndarray:
+    """The static friction that each push had: drift and rest before it included."""
+    orders = np.array([push.order for push in case.pushes], float)
+    place = (orders - orders.min()) / max(np.ptp(orders), 1.0)
+    drift = case.present.get("friction_drift", {}).get("drift", 0.0)
+    dwell = case.present.get("static_dwell", {})
+    rest = np.array([push.rest_before for push in case.pushes], float) / dwell.get("tau_s", 1.0)
+    grown = 1 + dwell.get("amplitude", 0.0) * np.log1p(np.maximum(rest, 0.0))
+    return np.array([push.mu_s for push in case.pushes]) * (1 + drift * place) * grown
+
+
 def sensed(case: Case, row: np.ndarray, others: np.ndarray, times: np.ndarray) -> stepper.Run:
     """One push with what outsiders make of its readings; the times [s] are evenly spaced."""
     run = stepper.follow(row, others, times)

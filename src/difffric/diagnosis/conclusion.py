@@ -18,7 +18,7 @@ from difffric.diagnosis.lack_of_fit import LackOfFit, measure_lack_of_fit
 from difffric.diagnosis.location import Location, locate
 from difffric.diagnosis.misfit import Misfit, describe_remaining, measure_misfits
 from difffric.diagnosis.next_experiment import Experiment, Pair, plan_experiments
-from difffric.diagnosis.score_test import Score
+from difffric.diagnosis.score_test import SIGNIFICANT, Score
 from difffric.diagnosis.verdict import (
     ADEQUATE,
     AMBIGUOUS,
@@ -40,8 +40,6 @@ from difffric.rig.catalogue import KEYS, RATIO, numbers_of
 from difffric.rig.free_form import FORMS
 from difffric.rig.setup import Setup
 
-SIGNIFICANT = 1e-3
-"""An effect is named where chance gives as much with less than this probability."""
 LEFT = 0.3
 """Share of the systematic error that, left over, makes the misfit unexplained."""
 ALIKE = 2 * np.log(20.0)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from difffric.compute.precision import require_float64
+from difffric.diagnosis.background.cause_sets import compute_price
 from difffric.diagnosis.background.evidence import PossibleCause
 from difffric.diagnosis.background.free_curves import compare_with_curves
 from difffric.diagnosis.background.naming import (
@@ -30,12 +31,12 @@ from difffric.diagnosis.background.search import (
 from difffric.diagnosis.background.small_effects import UNIT_CHANGE
 from difffric.diagnosis.combinations.cause_rounds import CauseRounds
 from difffric.diagnosis.combinations.explanation import explain_table
-from difffric.diagnosis.conclusion import SIGNIFICANT, Findings, NamedCause, conclude
+from difffric.diagnosis.conclusion import Findings, NamedCause, conclude
 from difffric.diagnosis.cross_validation import CrossValidation, assign_folds
 from difffric.diagnosis.exploration import CandidateCause, explore, is_promising
 from difffric.diagnosis.impossible_measurements import find_unreachable
 from difffric.diagnosis.lack_of_fit import LackOfFit, is_misfit_large, measure_lack_of_fit
-from difffric.diagnosis.score_test import Score, compute_p_value, run_score_tests
+from difffric.diagnosis.score_test import SIGNIFICANT, Score, compute_p_value, run_score_tests
 from difffric.diagnosis.start import (
     SearchStart,
     calibrate_plain,
@@ -295,7 +296,7 @@ class _CauseSearch(CauseRounds):
         task, whole = self.start.data.task, self.whole or self.base
         without = self._leave_out(whole, item.effect)
         value = ensemble.criterion(task, ensemble.join(without, whole))
-        drop, price = float(value[0] - value[1]), len(numbers_of(item.effect)) * task.price
+        drop, price = float(value[0] - value[1]), 2 * compute_price(found.evidence, [item])
         if drop < price:  # it was there to make up for what another one did
             return
         score = self.scores.get(item.effect)

@@ -22,6 +22,8 @@ from difffric.estimation import ensemble
 from difffric.estimation.ensemble import EnsembleTask, Fits, NormalEquations
 from difffric.rig.catalogue import KEYS, numbers_of
 
+SIGNIFICANT = 1e-3
+"""An effect is named where chance gives as much with less than this probability."""
 _TRIALS = 10
 """How many independent looks a scan over a wavelength, a place or a speed is worth."""
 _LEAST_ROOM = 3
@@ -29,10 +31,11 @@ _LEAST_ROOM = 3
 _SCATTERS = np.geomspace(1.0, 0.03, 15)
 """Shares of the scatter without an effect that are tried beside it: a drift may explain nearly
 all of it."""
-_OFF_NULL = {name: 1e-6 for name, (_, key) in KEYS.items() if key.inverse}
-_OFF_NULL |= {"pusher_lag.tau_s": 5e-4}
-"""Coordinates near a null at which there is no derivative (of the inverse of an acceleration), or
-none that steps of finite length find (of a lag shorter than a step)."""
+OFF_NULL = {name: 1e-6 for name, (_, key) in KEYS.items() if key.inverse}
+OFF_NULL |= {"pusher_lag.tau_s": 5e-4, "initial_gap.gap_m": 1e-6}
+"""Coordinates near a null at which there is no derivative (of the inverse of an acceleration), none
+that steps of finite length find (of a lag shorter than a step), or another one (of a gap, without
+which the damper is there at once)."""
 
 
 @dataclass(frozen=True)
@@ -149,8 +152,8 @@ def step_off_null(task: EnsembleTask, fits: Fits) -> Fits:
     c = fits.c.copy()
     for i in fits.extra[0]:
         name = task.model.coordinates.names[i]
-        if name in _OFF_NULL:
-            c[:, i] = np.maximum(c[:, i], _OFF_NULL[name])
+        if name in OFF_NULL:
+            c[:, i] = np.maximum(c[:, i], OFF_NULL[name])
     return replace(fits, c=c, gram=None, residual=None)
 
 
@@ -160,6 +163,11 @@ def compute_p_value(effect: str, drop: float, effects: int) -> float:
     `effects` is the number of effects that were looked for: they, and the looks that a scan of
     this one takes, are all counted (Bonferroni).
     """
-    looks = 1 if effect in SMOOTH_AT_NULL else _TRIALS
     tail = scipy.stats.chi2.sf(max(drop, 0.0), len(numbers_of(effect)))
-    return float(min(1.0, tail * looks * effects))
+    return float(min(1.0, tail * count_looks(effect, effects)))
+
+
+def count_looks(effect: str, effects: int) -> int:
+    """Return how many independent looks a search among so many `effects` is worth that finds this
+    one."""
+    return effects * (1 if effect in SMOOTH_AT_NULL else _TRIALS)

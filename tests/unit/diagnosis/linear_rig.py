@@ -1,4 +1,5 @@
-"""A rig whose answers are linear in everything, so that what statistics says of fits is exact."""
+"""A rig whose answers are linear in everything, so that what statistics says of fits is exact; or
+in everything but log mu_s, as a force is."""
 
 from __future__ import annotations
 
@@ -23,6 +24,8 @@ class LinearModel:
     """of the coordinates after log mu_s"""
     recordings: bool = False
     directions: int = 8
+    exponential: bool = False
+    """whether the first coordinate counts by its exponential: as mu_s itself"""
 
     @property
     def coordinates(self):
@@ -36,9 +39,15 @@ class LinearModel:
 
     def answers(self, index, c, directions, keep_rows=False):
         """As `ExtendedModel.answers`."""
-        at = np.einsum("nik,nk->ni", self.slopes[index], c)
+        slopes = self.slopes[index]
+        if self.exponential:
+            mu_s = np.exp(c[:, 0])
+            c = np.column_stack([mu_s, c[:, 1:]])
+        at = np.einsum("nik,nk->ni", slopes, c)
+        if self.exponential:
+            slopes = np.concatenate([slopes[..., :1] * mu_s[:, None, None], slopes[..., 1:]], 2)
         rows = np.broadcast_to(directions, (len(c), *np.shape(directions)[-2:]))
-        J = -np.einsum("nik,ndk->nid", self.slopes[index], rows)
+        J = -np.einsum("nik,ndk->nid", slopes, rows)
         A = np.concatenate([J, (self.measured[index] - at)[:, :, None]], axis=2)
         return AnswerRows(A[:, :, None, :], at).compare(keep_rows)
 

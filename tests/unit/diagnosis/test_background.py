@@ -37,7 +37,9 @@ def weigh(task, background: bool = True) -> Evidence:
     """The comparison at the joint fit."""
     K = 2 + len(NAMES)
     ones = np.ones(len(NAMES))
-    small = SmallEffects(EFFECTS, tuple(range(2, K)), 0.3 * ones, 5 * ones, np.zeros(K))
+    small = SmallEffects(
+        EFFECTS, tuple(range(2, K)), 0.3 * ones, 5 * ones, np.zeros(K), np.zeros(K)
+    )
     at = ensemble_refits.refit(small.assume(task, 3.0), small.free(start(task, 0.3)), 10)
     return Evidence(task, at, small, None, background)
 
@@ -121,7 +123,9 @@ def test_shapes_are_found_beside_small_effects(seed, patch, wave):
     measured = measured - sum(a * shapes.rows[:, :, k] for k, a in sizes.items())
     task = make_task(slopes, measured, ("k", *NAMES), shared=(1,))
     K, ones = 2 + len(NAMES), np.ones(len(NAMES))
-    small = SmallEffects(EFFECTS, tuple(range(2, K)), 0.3 * ones, 5 * ones, np.zeros(K))
+    small = SmallEffects(
+        EFFECTS, tuple(range(2, K)), 0.3 * ones, 5 * ones, np.zeros(K), np.zeros(K)
+    )
     at = ensemble.evaluate(task, small.free(start(task, 0.3)))
     found = pursue_shapes(Evidence(task, at, small, shapes), 3)
     chosen = [item.columns[0] - len(NAMES) for item in found.items]
@@ -137,11 +141,34 @@ def test_nearby_shapes_lie_between_the_neighbours_on_the_grid():
     assert list_nearby([replace(one, along=None)])[0].points == one.points
 
 
+def test_what_adds_a_force_explains_as_much_wherever_the_joint_fit_stands():
+    """mu_i N + F is the same for all pushes whatever F is: where F is less, mu_s is larger, and its
+    relative scatter smaller. No fit gains by that, and no comparison may say so."""
+    rng = np.random.default_rng(3)
+    mu_s = np.exp(0.05 * rng.normal(size=N))
+    slopes = np.ones((N, 2, 2)) * 1e3
+    measured = slopes[:, :, 0] * mu_s[:, None] + rng.normal(size=(N, 2))
+    task = make_task(slopes, measured, ("tilt.x",))
+    task.model.exponential = True  # type: ignore
+    small = SmallEffects(("tilt",), (1,), np.ones(1), np.ones(1), np.zeros(2), np.zeros(2))
+
+    def gain(force: float) -> float:
+        log = np.log(mu_s - force)
+        at = start(task, float(np.std(log)))
+        c, mu = np.array([[0.0, force]]), np.array([[log.mean()]])
+        at = replace(at, c=c, mu=mu, own=(log - log.mean())[None], extra=((1,),))
+        return float(Evidence(task, at, small, None, False).compare([[0]]).gain[0])
+
+    assert gain(-0.8) == pytest.approx(gain(0.0), abs=0.5)
+
+
 def test_errors_of_mu_s_are_those_of_the_dense_normal_distribution():
     task = draw(cause=1.0)[0]
     slopes = task.model.slopes
     scatter = 0.3
-    small = SmallEffects(EFFECTS, tuple(range(2, 7)), np.full(5, 0.3), np.full(5, 5.0), np.zeros(7))
+    small = SmallEffects(
+        EFFECTS, tuple(range(2, 7)), np.full(5, 0.3), np.full(5, 5.0), np.zeros(7), np.zeros(7)
+    )
     task = replace(small.assume(task, 1.0), estimate_scatter=False)
     at = ensemble_refits.refit(task, small.free(start(task, scatter)), 10)
     # All of them, and each push's own log mu_s, in one information matrix.

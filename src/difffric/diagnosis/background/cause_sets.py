@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+import scipy
 
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
-from difffric.rig.catalogue import numbers_of
+from difffric.diagnosis.score_test import SIGNIFICANT, count_looks
 
 _IN_PAIRS = 40
 """Items that are tried in pairs."""
@@ -19,8 +20,6 @@ _OF_EACH = 2
 """Shapes of each effect that are tried beside others."""
 _ADDED = 3
 """Effects that are added to the best triple, one after the other, at most."""
-SELDOM = float(np.log(3.0))
-"""Log odds against one cause more."""
 _LIKE_ITSELF = (0.4, 2.5)
 """Sizes of a column that stands for one size of an effect, between which it is that effect."""
 
@@ -130,11 +129,11 @@ def _score(
 
 
 def compute_price(evidence: Evidence, items: Sequence[PossibleCause]) -> float:
-    """What a set must buy in log likelihood: Schwarz's price for its numbers, and as many times the
-    logarithm of the number of effects as it has of them."""
-    numbers = sum(len(numbers_of(item.effect)) for item in items)
-    each = float(np.log(evidence.effects)) + SELDOM
-    return 0.5 * evidence.task.price * numbers + len(items) * each
+    """What a set must buy in log likelihood: of each item what chance alone buys, with the
+    probability `SIGNIFICANT`, where so many effects are looked for."""
+    looks = [count_looks(item.effect, evidence.effects) for item in items]
+    numbers = [1 if item.shape is None else item.shape.numbers for item in items]
+    return 0.5 * float(scipy.stats.chi2.isf(SIGNIFICANT / np.array(looks), numbers).sum())
 
 
 def makes_sense(evidence: Evidence, items: Sequence[PossibleCause], sizes: np.ndarray) -> bool:

@@ -21,7 +21,7 @@ import scipy
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from difffric.diagnosis.background.shape_columns import Shape, ShapeColumns
+from difffric.diagnosis.background.shape_columns import Shape, ShapeColumns, join_columns
 from difffric.diagnosis.background.small_effects import SmallEffects, step_off_null
 from difffric.estimation.ensemble import EnsembleTask, Fits
 
@@ -103,9 +103,16 @@ class Evidence:
         small: SmallEffects,
         shapes: ShapeColumns | None,
         background: bool = True,
+        known: tuple[NDArray, NDArray] | None = None,
     ):
+        """`known` are the columns of `_collect_rows`, where they have been computed already."""
         self.task, self.at, self.small = task, at, small
-        self._rows, self._push = _collect_rows(task, at, small, shapes)
+        self._shapes, self._background = shapes, background
+        self._columns = _collect_rows(task, at, small, shapes) if known is None else known
+        self._rows, self._push = self._columns
+        if shapes is not None:
+            parts = [self._rows[..., :-1], shapes.rows, self._rows[..., -1:]]
+            self._rows = np.concatenate(parts, axis=2)
         self._gram = np.swapaxes(self._rows, 1, 2) @ self._rows
         self._own = np.einsum("nr,nrp->np", self._push, self._rows)
         self._z = (self._push**2).sum(axis=1)
@@ -129,6 +136,11 @@ class Evidence:
         self._states = self._make_states(scatters, shares)
         self._log_prior = prior
         self.nothing = float(_sum_logs(prior - 0.5 * np.array([s.cost for s in self._states])))
+
+    def add_columns(self, more: ShapeColumns) -> Evidence:
+        """Return the comparison with further shapes, none of them placed."""
+        shapes = more if self._shapes is None else join_columns(self._shapes, more)
+        return Evidence(self.task, self.at, self.small, shapes, self._background, self._columns)
 
     def _count(self, shapes: ShapeColumns | None) -> int:
         return len(self.small.index) + (0 if shapes is None else len(shapes.unit))
@@ -343,8 +355,8 @@ def _collect_rows(
     task: EnsembleTask, at: Fits, small: SmallEffects, shapes: ShapeColumns | None
 ) -> tuple[NDArray, NDArray]:
     """The columns (n, R, p) of each push: the plain parameters, what `at` has free besides, the
-    small effects, the shapes, and what would be left without the small effects and the shapes; and
-    that of the push's own mu_s (n, R)."""
+    small effects, and what would be left without the small effects and the placed shapes; and that
+    of the push's own mu_s (n, R)."""
     n, C = task.n, task.conditions
     placed = {} if shapes is None else {s.effect for s in shapes.shapes if s.placed}
     names = task.model.coordinates.names
@@ -355,21 +367,24 @@ def _collect_rows(
     directions = np.zeros((1 + len(free), at.c.shape[1]))
     directions[0, 0] = float(task.mu_free)
     directions[np.arange(1, len(directions)), free] = 1.0
-    c = np.repeat(step_off_null(task, at, free), n, axis=0)
+    beside = step_off_null(task, at, free)
+    c = np.repeat(beside, n, axis=0)
     c[:, 0] = at.mu[0, task.condition] + at.own[0]
     rows = task.model.answers(np.arange(n), c, directions, True).rows
     rows = (rows / at.spread[0][:, None, None]).reshape(n, -1, len(directions) + 1)
     # A push that cannot be followed beside the nulls says nothing.
     rows = np.where(np.isfinite(rows).all(axis=(1, 2), keepdims=True), rows, 0.0)
-    own, plain = rows[..., 0], rows[..., 1 : -1 - len(small.index)]
+    # What adds a force changes all mu_s by the same amount, not by the same factor: so does the
+    # scatter that is compared here, or a linear prediction would take one for the other.
+    level = np.exp(at.own[0])[:, None]
+    own, plain = rows[..., 0] / level, rows[..., 1 : -1 - len(small.index)]
     columns = rows[..., -1 - len(small.index) : -1]
-    left = rows[..., -1] - own * at.own[0][:, None]
-    away = at.c[0, list(small.index)] - small.null[list(small.index)]
+    left = rows[..., -1] - own * (level - 1)
+    away = (beside[0] - small.null)[list(small.index)]
     left = left - columns @ away
     if shapes is not None:
         for shape, mine in zip(shapes.shapes, shapes.columns, strict=True):
             left = left - shape.placed * shapes.rows[..., mine[0]]
     condition = np.zeros((n, own.shape[1], C))
     condition[np.arange(n), :, task.condition] = own
-    more = [columns] if shapes is None else [columns, shapes.rows]
-    return np.concatenate([condition, plain, *more, left[:, :, None]], axis=2), own
+    return np.concatenate([condition, plain, columns, left[:, :, None]], axis=2), own

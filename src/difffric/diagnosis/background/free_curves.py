@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.diagnosis.background.cause_sets import SELDOM, score_set
+from difffric.diagnosis.background.cause_sets import score_set
 from difffric.diagnosis.background.evidence import PossibleCause
 from difffric.diagnosis.background.search import BackgroundSearch
 from difffric.diagnosis.data import DiagnosisData
@@ -25,8 +25,10 @@ _LENGTHS = (0.7, 1.5, 3.5)
 """Lengths over which a curve bends, in its splines."""
 _SIZES = np.geomspace(1e-4, 0.5, 9)
 """Relative sizes of a curve."""
+_SELDOM = float(np.log(3.0))
+"""Log odds against something outside the catalogue."""
 _ODDS = float(np.log(20.0))
-"""Log odds by which a curve must explain the data better than nothing."""
+"""Log odds by which a curve must explain the data better than causes, or nothing, do."""
 
 
 @dataclass(frozen=True)
@@ -47,10 +49,10 @@ class CurveComparison:
 
     @property
     def is_outside(self) -> bool:
-        """Whether a curve explains the data better than the causes, which add nothing to it; and
-        better than nothing at all."""
+        """Whether a curve explains the data better than the causes, which add nothing to it, and
+        than nothing at all, by odds that leave no doubt: a smooth cause is a smooth curve, too."""
         alone = self.curves[self.best]
-        return alone > max(self.causes, *self.both.values(), _ODDS)
+        return alone > max(self.causes, *self.both.values(), 0.0) + _ODDS
 
 
 def compare_with_curves(
@@ -69,7 +71,7 @@ def compare_with_curves(
     rows = rows / joint.spread[0][:, None, None]
     curves = np.split(rows.reshape(task.n, -1, len(FORMS) * free_form.SPLINES), len(FORMS), axis=2)
     priors = [size**2 * _correlate(length) for length in _LENGTHS for size in _SIZES]
-    price = float(np.log(len(FORMS))) + SELDOM
+    price = float(np.log(len(FORMS))) + _SELDOM
     alone = evidence.weigh_curves((), curves, priors)
     beside = evidence.weigh_curves(items, curves, priors) if items else alone
     causes = score_set(evidence, items)

@@ -8,17 +8,21 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.diagnosis.background.cause_sets import CauseSet, replace_item, score_set
+from difffric.diagnosis.background.cause_sets import (
+    CauseSet,
+    compute_price,
+    replace_item,
+    score_set,
+)
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
 from difffric.diagnosis.background.search import BackgroundSearch, put_shape
 from difffric.diagnosis.conclusion import ALIKE
 from difffric.diagnosis.exploration import CandidateCause
+from difffric.diagnosis.score_test import count_looks
 from difffric.estimation import ensemble, ensemble_refits
 from difffric.estimation.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import numbers_of
 
-_LOOKS = 10
-"""How many independent looks a scan over a wavelength, a place or a speed is worth."""
 USUAL_SHARE = 0.4
 """Share of their units by which the small effects of a usual rig scatter: 0.2 % of F_p or d each.
 What stays within that is none that matters, however well it is seen."""
@@ -39,7 +43,7 @@ def keep_significant(
     while items:
         log = evidence.compute_log_p_values(items)
         p_values = [
-            float(np.exp(min(x + np.log(_count_looks(evidence, item)), 0.0)))
+            float(np.exp(min(x + np.log(count_looks(item.effect, evidence.effects)), 0.0)))
             for x, item in zip(log, items, strict=True)
         ]
         worst = int(np.argmax(p_values))
@@ -57,13 +61,8 @@ def list_outstanding(
     return frozenset(
         item.effect
         for item, x in zip(items, log, strict=True)
-        if x + np.log(_count_looks(evidence, item)) < np.log(significant)
+        if x + np.log(count_looks(item.effect, evidence.effects)) < np.log(significant)
     )
-
-
-def _count_looks(evidence: Evidence, item: PossibleCause) -> int:
-    """How many looks an effect's size was found by."""
-    return evidence.effects * (1 if item.shape is None else _LOOKS)
 
 
 def compare_rivals(
@@ -162,9 +161,11 @@ def fit_singles(task: EnsembleTask, plain: Fits, search: BackgroundSearch) -> li
     drops = float(ensemble.criterion(task, plain)[0]) - ensemble.criterion(task, fits)
     out = []
     for j, (item, one) in enumerate(found):
-        price = len(numbers_of(item.effect)) * task.price
+        price = 2 * compute_price(search.first, [item])
         (log,) = search.first.compute_log_p_values([item])
-        p_value = float(np.exp(min(log + np.log(_count_looks(search.first, item)), 0.0)))
+        p_value = float(
+            np.exp(min(log + np.log(count_looks(item.effect, search.first.effects)), 0.0))
+        )
         out.append(
             CandidateCause(
                 item.effect,

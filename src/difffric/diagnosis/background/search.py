@@ -112,7 +112,11 @@ class _JointSearch:
         task = self.data.task
         others = [effect for effect in self.effects if effect not in shaped]
         shapes = list_placed(task, at, shaped) + list_shapes(task, others, self.data.scales)
-        return self._compare_shapes(at, shapes)
+        evidence = self._compare_shapes(at, shapes)
+        # A shape that lies between two of the grid is to count as much as one that is on it.
+        best = [one.items[0].shape for one in _choose_best_shapes(evidence, 1)]
+        nearby = list_nearby([x for x in best if x is not None and x.along is not None])
+        return evidence.add_columns(compute_columns(task, at, nearby)) if nearby else evidence
 
     def _compare_shapes(self, at: Fits, shapes: Sequence[Shape]) -> Evidence:
         """Make the comparison of small effects and these shapes."""
@@ -122,12 +126,7 @@ class _JointSearch:
     def add_shape(self, evidence: Evidence) -> bool:
         """Add the effect with a shape that helps most; whether any does."""
         task = self.small.assume(self.data.task, WIDE)
-        shaped = [item for item in evidence.items if item.shape and not item.shape.placed]
-        first: list[CauseSet] = []
-        for one in score_singles(evidence, shaped):
-            alike = sum(one.effects == other.effects for other in first)
-            if alike < _OF_EACH and len(first) < _SHAPES_FITTED:
-                first.append(one)
+        first = _choose_best_shapes(evidence, _OF_EACH)[:_SHAPES_FITTED]
         if not first:
             return False
         # What one effect does, small ones together may nearly do: begin without them, too.
@@ -216,6 +215,16 @@ class _JointSearch:
         task = free_causes(self.data.task, self.small, evidence, items)
         self.joint = ensemble_refits.refit(task, start, _ROUNDS)
         self.shaped = (*self.shaped, *new)
+
+
+def _choose_best_shapes(evidence: Evidence, of_each: int) -> list[CauseSet]:
+    """Return as many shapes of each effect as explain most by themselves, the best first."""
+    shaped = [item for item in evidence.items if item.shape and not item.shape.placed]
+    found: list[CauseSet] = []
+    for one in score_singles(evidence, shaped):
+        if sum(one.effects == other.effects for other in found) < of_each:
+            found.append(one)
+    return found
 
 
 def free_causes(

@@ -30,7 +30,7 @@ _MOST_WAVES = 60
 """Wavelengths at most."""
 _PER_WAY = 2.5
 """Wavelengths that a median way tells apart, for each turn of a wave in it."""
-_AMPLITUDE = 0.02
+_AMPLITUDE = 0.002
 """Amplitude of a shape whose change is taken: so small that it is linear."""
 _PLACES = 14
 """Places within the shortest way, and again as many beyond it."""
@@ -58,6 +58,11 @@ class Shape:
     placed: bool = False
     """whether the effect is in the model with this shape: the point is then that without it"""
 
+    @property
+    def numbers(self) -> int:
+        """How many numbers say how large it is: of a wave those of its sine and its cosine."""
+        return 2 if self.effect in _WAVES else 1
+
 
 @dataclass(frozen=True)
 class ShapeColumns:
@@ -72,6 +77,19 @@ class ShapeColumns:
     """(C,) amplitude of unit size, which all shapes of one effect share"""
     typical: NDArray
     """(C,) the amplitude that one may meet"""
+
+
+def join_columns(first: ShapeColumns, second: ShapeColumns) -> ShapeColumns:
+    """Return the columns of the `second` shapes behind those of the `first`."""
+    before = first.rows.shape[-1]
+    later = tuple(tuple(c + before for c in columns) for columns in second.columns)
+    return ShapeColumns(
+        (*first.shapes, *second.shapes),
+        (*first.columns, *later),
+        np.concatenate([first.rows, second.rows], axis=2),
+        np.concatenate([first.unit, second.unit]),
+        np.concatenate([first.typical, second.typical]),
+    )
 
 
 def list_shapes(task: EnsembleTask, effects: Sequence[str], scales: Scales) -> list[Shape]:

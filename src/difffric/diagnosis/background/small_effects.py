@@ -14,9 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from difffric.diagnosis.score_test import OFF_NULL
 from difffric.diagnosis.starting_values import SMOOTH_AT_NULL
 from difffric.estimation.ensemble import EnsembleTask, Fits
-from difffric.rig.catalogue import KEYS, RATIO, numbers_of
+from difffric.rig.catalogue import RATIO, numbers_of
 
 UNIT_CHANGE = 0.005
 """Relative change of F_p or d (rms over the pushes) that an effect of unit size makes."""
@@ -30,9 +31,6 @@ _FARTHEST, _UNSEEN_FARTHEST = 2.0, 5.0
 F_p nor d, of which nobody knows."""
 _STEP = 0.1
 """Share of such a size by which an effect is moved to see what it changes."""
-_NONE_AT_NULL = tuple(name for name, (_, key) in KEYS.items() if key.inverse)
-_BESIDE = 1e-6
-"""The coordinates that have no derivative at their null, and where one is taken beside it."""
 _LONG_STEP = {"pusher_lag": 0.5}
 """The same of an effect that is not seen where it is shorter than an integrator's step."""
 
@@ -51,6 +49,8 @@ class SmallEffects:
     """(p,) the steps at which it has a size that one may meet"""
     null: NDArray
     """(K,) all coordinates where nothing moves them"""
+    start: NDArray
+    """(K,) the same with those a little beside their nulls that have no derivative there"""
 
     def assume(
         self, task: EnsembleTask, share: float, causes: Collection[int] = ()
@@ -70,17 +70,16 @@ class SmallEffects:
         extra = tuple((*own, *(i for i in self.index if i not in own)) for own in fits.extra)
         c = fits.c.copy()
         at_null = [i for i in self.index if not fits.c[:, i].any()]
-        c[:, at_null] = self.null[at_null]
+        c[:, at_null] = self.start[at_null]
         return replace(fits, c=c, extra=extra, gram=None, residual=None, damping=None)
 
 
 def step_off_null(task: EnsembleTask, at: Fits, index: Sequence[int]) -> NDArray:
     """Return the coordinates (1, K) of a fit (an ensemble of one), those of `index` that have no
-    derivative at their null (the inverse of an acceleration) a little beside it."""
+    derivative at their null a little beside it."""
     c = at.c.copy()
     for i in index:
-        if task.model.coordinates.names[i] in _NONE_AT_NULL:
-            c[0, i] = max(c[0, i], _BESIDE)
+        c[0, i] = max(c[0, i], OFF_NULL.get(task.model.coordinates.names[i], -np.inf))
     return c
 
 
@@ -101,8 +100,8 @@ def choose_small_effects(task: EnsembleTask, at: Fits, effects: Sequence[str]) -
     points[np.arange(len(index)), index] += step
     change = measure_change(observe_points(task, at, points)) / step
     unit = np.minimum(_LARGEST * typical, UNIT_CHANGE / np.maximum(change, 1e-12))
-    null = step_off_null(task, at, index)[0]
-    return SmallEffects(tuple(chosen), tuple(index), unit, typical, null)
+    start = step_off_null(task, at, index)[0]
+    return SmallEffects(tuple(chosen), tuple(index), unit, typical, at.c[0].copy(), start)
 
 
 def observe_points(task: EnsembleTask, at: Fits, points: NDArray) -> NDArray:

@@ -11,10 +11,10 @@ from dataclasses import replace
 from typing import Any
 
 from difffric.diagnosis.alternatives import find_alternatives
-from difffric.diagnosis.conclusion import SIGNIFICANT, NamedCause
+from difffric.diagnosis.conclusion import NamedCause
 from difffric.diagnosis.exploration import CandidateCause, explore, is_promising
 from difffric.diagnosis.lack_of_fit import is_misfit_large, measure_lack_of_fit
-from difffric.diagnosis.score_test import Score, compute_p_value, run_score_tests
+from difffric.diagnosis.score_test import SIGNIFICANT, Score, compute_p_value, run_score_tests
 from difffric.diagnosis.start import find_better_base, find_better_optimum
 from difffric.diagnosis.starting_values import SMOOTH_AT_NULL
 from difffric.estimation import ensemble_refits
