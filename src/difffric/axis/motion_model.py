@@ -20,7 +20,7 @@ from difffric.axis.effects import EFFECTS, Point, list_effect_keys
 from difffric.axis.noise_model import RunRows, make_force_rows, make_rows
 from difffric.axis.one_sign_runs import MeasuredMotion, OneSignRun
 from difffric.axis.recordings import AxisStretch
-from difffric.axis.setup import COULOMB, MASS, OFFSET, PLAIN_NAMES, VISCOUS
+from difffric.axis.setup import BREAKAWAY, COULOMB, MASS, OFFSET, PLAIN_NAMES, VISCOUS
 
 MOST_BLOCKS = 120
 """Blocks of a run at most: the cost of its covariance grows with their cube."""
@@ -146,7 +146,6 @@ class MotionModel:
             s = run.run.sign
             columns = {MASS: X, COULOMB: s * B, VISCOUS: V, OFFSET: -B}
             error = sum(values[name] * columns[name] for name in PLAIN_NAMES) - A
-            level = values[COULOMB] * s * B
             for effect in [x for x in EFFECTS if x in effects]:
                 shape = self._respond(k, effect, values)
                 error = error + shape[0]
@@ -155,6 +154,10 @@ class MotionModel:
                 self._add_plain_slopes(k, effect, values, columns)
             errors.append(np.asarray(error))
             slopes.append(np.column_stack([columns[name] for name in names]))
+            # All that is of the kind of Coulomb friction goes with the stretch's level.
+            level = values[COULOMB] * columns[COULOMB]
+            if BREAKAWAY in columns:
+                level = level + values[BREAKAWAY] * columns[BREAKAWAY]
             levels.append(level)
         return RunResiduals(errors, slopes, levels)
 

@@ -128,9 +128,9 @@ def _cut_at_gaps(one: AxisStretch, step: NDArray, notes: list[str]) -> list[Axis
 
 
 def _find_oddities(stretches: Sequence[AxisStretch], data: AxisRecordings) -> list[str]:
-    """Notes on a force or a position that does not change, and on a drive at its limit.
+    """Notes on a drive at its limit.
 
-    Raises `InputError` where nothing moves at all.
+    Raises `InputError` where nothing moves at all, or no force ever changes.
     """
     force = np.concatenate([x.force for x in stretches])
     position = np.concatenate([x.position for x in stretches])
@@ -141,13 +141,13 @@ def _find_oddities(stretches: Sequence[AxisStretch], data: AxisRecordings) -> li
         )
     if not (np.isfinite(force).all() and np.isfinite(position).all()):
         raise InputError(f"{data.source}: expected finite numbers only")
-    notes = []
     if np.ptp(force) == 0:
-        notes.append(
-            "the force never changes (motion without a force): what it says of friction is one "
-            "number, and the mass stays open"
+        raise InputError(
+            f"{data.source}: the force is {force[0]:g} {data.unit} throughout (motion without a "
+            "force): nothing about mass or friction can be said; is its channel connected?"
         )
-    elif force.size > 1000:
+    notes = []
+    if force.size > 1000:
         for end, word in ((force.max(), "largest"), (force.min(), "smallest")):
             share = np.mean(force == end)
             if share > _SATURATED and _is_flat(force, end):

@@ -17,6 +17,7 @@ from difffric.axis.effects import EFFECTS
 from difffric.axis.motion_model import MotionModel, RunData, RunResiduals
 from difffric.axis.noise_model import NoiseFit, NoiseProblem
 from difffric.axis.setup import COULOMB, MASS, VISCOUS
+from difffric.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,8 @@ _SMALL = 0.03
 """Step, in standard errors, below which a search has converged."""
 _NEAR = 0.02
 """Change of -2 log likelihood that is not worth a new model."""
+_AGAINST = 20.0
+"""Standard errors below 0 from which on a mass says that a sign is wrong."""
 _CLEAR_MASS = 6.0
 """Standard errors that a mass must differ from 0 by, for the motion to count as driven."""
 
@@ -65,7 +68,8 @@ def find_start(
 ) -> tuple[dict[str, float], bool]:
     """Return where a search begins, and whether the motion is imposed.
 
-    `values` are those of the set-up, which hold for what is not free.
+    `values` are those of the set-up, which hold for what is not free. Raises `InputError` where
+    the axis goes against the force that drives it.
     """
     model = MotionModel(runs)
     plain = [x for x in names if "." not in x]
@@ -75,6 +79,11 @@ def find_start(
     levels = model.evaluate({**zero, COULOMB: values[COULOMB]}, tried).levels
     noise = NoiseProblem(model.rows, [-e for e in found.errors], found.slopes, levels).fit()
     mass, error = noise.step[0], np.sqrt(noise.covariance[0, 0])
+    if mass < -_AGAINST * error:
+        raise InputError(
+            f"the axis accelerates against the recorded force (its mass would be {mass:.3g} kg): "
+            "is the sign of the force, of the drive's gain or of the position wrong?"
+        )
     imposed = bool(mass < _CLEAR_MASS * error)
     if imposed:
         return dict(values), True

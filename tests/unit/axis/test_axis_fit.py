@@ -133,6 +133,13 @@ def test_a_mass_a_thousand_times_off_is_told_with_a_guess():
     assert any("is a unit wrong" in note and "mm that is called m" in note for note in fit.notes)
 
 
+def test_a_force_of_the_wrong_sign_is_refused():
+    data = make(Axis(), seed=5)
+    wrong = AxisRecordings([replace(x, force=-x.force) for x in data.stretches])
+    with pytest.raises(InputError, match="against the recorded force"):
+        fit_axis(ROUGH, wrong)
+
+
 def test_friction_that_falls_with_speed_is_told():
     axis = Axis(k_v=30.0, effects={"drag": -60.0})
     fit = fit_axis(ROUGH, make(axis, seed=5, speeds=(0.1, 0.3, 0.5), travel=0.2))

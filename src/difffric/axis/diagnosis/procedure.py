@@ -34,7 +34,7 @@ from difffric.progress import Tell, silent
 
 MATTERS = 0.005
 """Share of Coulomb friction from which on an effect matters."""
-_CHANCE = 1e-3
+_CHANCE = 1e-4
 """Probability by chance below which an effect counts as seen, all looks counted."""
 _MOST_CAUSES = 4
 """Effects that are added at most."""
