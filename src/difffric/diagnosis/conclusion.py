@@ -123,6 +123,9 @@ class Findings:
     """the free forms that may explain them"""
     unseen: float = 0.0
     """the relative change of mu_s by a small effect that no push can tell from it"""
+    friction: tuple[np.ndarray, np.ndarray] | None = None
+    """the log mu_s (n,) of the pushes and their standard errors, where small effects are averaged
+    over; None: those of `whole`"""
 
     @property
     def scale(self) -> float:
@@ -169,6 +172,9 @@ def conclude(found: Findings, tell: Tell) -> Diagnosis:
     rig = extend_rig(strip_effects(found.setup)[0].rig, task, extended)
     friction, before = (find_friction(task, fits) for fits in (whole, plain))
     errors = compute_friction_errors(task, whole, found.unseen)
+    if found.friction is not None and whole is not plain:
+        friction, errors = found.friction
+        errors = np.hypot(errors, found.unseen)
     return Diagnosis(
         verdict=verdict,
         p_value=found.lack.p_value,

@@ -15,6 +15,7 @@ from difffric.compute.precision import require_float64
 from difffric.diagnosis.background.cause_sets import compute_price
 from difffric.diagnosis.background.evidence import PossibleCause
 from difffric.diagnosis.background.free_curves import compare_with_curves
+from difffric.diagnosis.background.friction_estimate import estimate_friction
 from difffric.diagnosis.background.naming import (
     compare_rivals,
     fit_causes,
@@ -146,6 +147,8 @@ class _CauseSearch(CauseRounds):
     """the curve that does"""
     share: float = 0.0
     """of their units by which small effects scatter"""
+    friction: tuple[np.ndarray, np.ndarray] | None = None
+    """log mu_s of each push and its standard errors, where these effects are averaged over"""
 
     @classmethod
     def begin(
@@ -206,6 +209,7 @@ class _CauseSearch(CauseRounds):
             explained=self.explained,
             curves=self.curves,
             unseen=self._find_unseen(),
+            friction=self.friction,
         )
 
     def _add_combination(self) -> None:
@@ -279,6 +283,7 @@ class _CauseSearch(CauseRounds):
         self.considered = fit_singles(task, self.plain, found)
         if share > _BACKGROUND:
             assumed, self.whole = fit_beside_background(data, found, items)
+            self.friction = estimate_friction(found.evidence, items)
             self.start = replace(self.start, data=replace(data, task=assumed))
             self.validation = CrossValidation(assumed, self.validation.folds)
         for item, p_value in zip(items, p_values, strict=True):

@@ -324,14 +324,14 @@ def _take_rms(x: NDArray) -> float:
 def find_friction(task: EnsembleTask, fits: Fits) -> NDArray:
     """Return the log mu_s (n,) that each push had by a fit (an ensemble of one): with the drift up
     to it, and what static friction grew by in the rest before it."""
-    coordinates, pushes = task.model.coordinates, task.model.pushes
+    coordinates = task.model.coordinates
     found = fits.mu[0, task.condition] + fits.own[0]
     if _DRIFT in coordinates.names:
         (drift,) = coordinates.values(fits.c[0], (_DRIFT,))
-        found = found + np.log1p(drift * np.asarray(pushes.share))
+        found = found + np.log1p(drift * np.asarray(task.model.pushes.share))
     if _DWELL in coordinates.names:
         (amplitude,) = coordinates.values(fits.c[0], (_DWELL,))
-        found = found + np.log1p(amplitude * _grow_in_rest(pushes))
+        found = found + np.log1p(amplitude * _grow_in_rest(task.model.pushes))
     return found
 
 
@@ -349,20 +349,28 @@ def compute_friction_errors(task: EnsembleTask, fits: Fits, unseen: float = 0.0)
     weight = parts.z[0] + 1.0 / fits.scatter[0] ** 2
     slope = -parts.h[0] / weight[:, None]
     slope[np.arange(task.n), task.condition] += 1.0
-    coordinates, columns = task.model.coordinates, [*task.shared, *fits.extra[0]]
-    for name in (_DRIFT, _DWELL):
-        for i in coordinates.indices([name]) if name in coordinates.names else ():
-            if i in columns:
-                pushes = task.model.pushes
-                by = np.asarray(pushes.share) if name == _DRIFT else _grow_in_rest(pushes)
-                (value,) = coordinates.values(fits.c[0], (name,))
-                change = coordinates.unit[i] * by / (1.0 + value * by)
-                slope[:, task.conditions + columns.index(i)] += change
+    columns = [*task.shared, *fits.extra[0]]
+    for i, change in differentiate_friction(task, fits.c[0]).items():
+        if i in columns:
+            slope[:, task.conditions + columns.index(i)] += change
     covariance = ensemble.covariance(task, fits)[0]
     variance = 1.0 / weight + np.einsum("np,pq,nq->n", slope, covariance, slope)
     squares = np.einsum("nk,k->", fits.gram[0, ..., -1, -1], fits.spread[0] ** -2.0)
     freedom = max(task.counts.sum() - slope.shape[1] - task.n, 1.0)
     return np.sqrt(variance * max(float(squares) / freedom, 1.0) + unseen**2)
+
+
+def differentiate_friction(task: EnsembleTask, c: NDArray) -> dict[int, NDArray]:
+    """Return the derivatives (n,) of each push's log mu_s by those of the coordinates c (K,) that
+    say how it changes from push to push, by their numbers."""
+    coordinates, found = task.model.coordinates, {}
+    for name in (_DRIFT, _DWELL):
+        for i in coordinates.indices([name]) if name in coordinates.names else ():
+            pushes = task.model.pushes
+            by = np.asarray(pushes.share) if name == _DRIFT else _grow_in_rest(pushes)
+            (value,) = coordinates.values(c, (name,))
+            found[i] = coordinates.unit[i] * by / (1.0 + value * by)
+    return found
 
 
 def _grow_in_rest(pushes: Any) -> NDArray:

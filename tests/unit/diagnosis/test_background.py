@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from difffric.diagnosis.background import cause_sets, evidence
 from difffric.diagnosis.background.evidence import Evidence
+from difffric.diagnosis.background.friction_estimate import estimate_friction
 from difffric.diagnosis.background.shape_columns import Shape, ShapeColumns, list_nearby
 from difffric.diagnosis.background.shape_pursuit import pursue_shapes
 from difffric.diagnosis.background.small_effects import SmallEffects
@@ -185,3 +186,39 @@ def test_errors_of_mu_s_are_those_of_the_dense_normal_distribution():
     larger = max(squares / (2 * N - 7 - N), 1.0)
     errors = np.sqrt(np.diag(sums @ C @ sums.T) * larger)
     assert compute_friction_errors(task, at) == pytest.approx(errors, rel=1e-6)
+
+
+@pytest.mark.parametrize("causes", [[], [0]])
+def test_mu_s_averaged_over_a_background_is_as_the_dense_normal_distribution_says(causes):
+    task, slopes, measured = draw(cause=1.0, background=0.2, seed=4)
+    found = weigh(task)
+    items = [found.items[k] for k in causes]
+    J = np.zeros((2 * N, 7 + N))
+    J[:, :7] = slopes.reshape(2 * N, 7)
+    for i in range(N):
+        J[2 * i : 2 * i + 2, 7 + i] = slopes[i, :, 0] / np.exp(found.at.own[0, i])
+    # From the middle of the joint fit, where each push's mu_s is as much above it as is compared.
+    start_at = np.concatenate([[found.at.mu[0, 0]], found.at.c[0, 1:]])
+    level = np.exp(found.at.own[0])
+    left = measured.ravel() - J[:, :7] @ start_at
+    left -= np.repeat(found.at.own[0], 2) * slopes[:, :, 0].ravel()
+    J[:, 0] = J[:, 7:].sum(axis=1)
+    sums = np.zeros((N, 7 + N))
+    sums[:, 0] = 1.0
+    sums[np.arange(N), 7 + np.arange(N)] = 1.0
+    means, variances, weights = [], [], []
+    for scatter, share, weight in found.weigh_states(items):
+        spread = np.array([10.0 if k in causes else 0.3 * max(share, 1e-9) for k in range(5)])
+        prior = np.diag([0.0, 0.0, *spread**-2.0, *[scatter**-2.0] * N])
+        about = np.concatenate([[0.0, 0.0], -found.at.c[0, 2:], 1 - level])
+        C = np.linalg.inv(J.T @ J / found.excess + prior)
+        at = C @ (J.T @ left / found.excess + prior @ about)
+        now = sums @ at + level
+        means.append(found.at.mu[0, 0] + np.log(now))
+        variances.append(np.diag(sums @ C @ sums.T) / now**2)
+        weights.append(weight)
+    mean = np.array(weights) @ np.array(means)
+    variance = np.array(weights) @ (np.array(variances) + (np.array(means) - mean) ** 2)
+    estimate, error = estimate_friction(found, items)
+    assert estimate == pytest.approx(mean, abs=2e-3 * np.sqrt(variance).min())
+    assert error == pytest.approx(np.sqrt(variance), rel=2e-3)

@@ -109,20 +109,18 @@ class Evidence:
         self.task, self.at, self.small = task, at, small
         self._shapes, self._background = shapes, background
         self._columns = _collect_rows(task, at, small, shapes) if known is None else known
-        self._rows, self._push = self._columns
+        self.rows, self.push = self._columns
+        self.unit, self.typical = small.unit, small.typical
         if shapes is not None:
-            parts = [self._rows[..., :-1], shapes.rows, self._rows[..., -1:]]
-            self._rows = np.concatenate(parts, axis=2)
-        self._gram = np.swapaxes(self._rows, 1, 2) @ self._rows
-        self._own = np.einsum("nr,nrp->np", self._push, self._rows)
-        self._z = (self._push**2).sum(axis=1)
-        self._known = self._gram.shape[1] - 1 - self._count(shapes)
+            parts = [self.rows[..., :-1], shapes.rows, self.rows[..., -1:]]
+            self.rows = np.concatenate(parts, axis=2)
+            self.unit = np.concatenate([small.unit, shapes.unit])
+            self.typical = np.concatenate([small.typical, shapes.typical])
+        self.gram = np.swapaxes(self.rows, 1, 2) @ self.rows
+        self.own = np.einsum("nr,nrp->np", self.push, self.rows)
+        self.z = (self.push**2).sum(axis=1)
+        self.known = self.gram.shape[1] - 1 - len(self.unit)
         self.items = _list_items(small, shapes)
-        unit = small.unit if shapes is None else np.concatenate([small.unit, shapes.unit])
-        self._unit = unit
-        self._typical = small.typical
-        if shapes is not None:
-            self._typical = np.concatenate([small.typical, shapes.typical])
         shares = np.append(0.0, SHARES) if background else np.zeros(1)
         scatters = at.scatter[0] * (_SCATTERS if task.estimate_scatter and task.mu_free else [1.0])
         prior = np.tile(_make_prior(background), len(scatters))
@@ -130,7 +128,7 @@ class Evidence:
         """by how much more than noise is left with all effects in the background"""
         # Errors are as large as what all effects together leave says.
         most = self._make_states(scatters, np.array([1.0]))
-        left = min(state.squares for state in most) / max(task.counts.sum() - self._known, 1.0)
+        left = min(state.squares for state in most) / max(task.counts.sum() - self.known, 1.0)
         self.excess = max(float(left), 1.0)
         self._scatters, self._shares = np.asarray(scatters), shares
         self._states = self._make_states(scatters, shares)
@@ -142,30 +140,39 @@ class Evidence:
         shapes = more if self._shapes is None else join_columns(self._shapes, more)
         return Evidence(self.task, self.at, self.small, shapes, self._background, self._columns)
 
-    def _count(self, shapes: ShapeColumns | None) -> int:
-        return len(self.small.index) + (0 if shapes is None else len(shapes.unit))
-
     @property
     def effects(self) -> int:
         """How many effects are compared, or 1."""
         return max(len({item.effect for item in self.items}), 1)
 
+    def weigh_states(self, items: Sequence[PossibleCause]) -> list[tuple[float, float, float]]:
+        """The scatters of mu_s, the shares of the background and their probabilities, where the
+        `items` are causes."""
+        if items:
+            weight = self.compare([[c for item in items for c in item.columns]]).weight[:, 0]
+        else:
+            log = self._log_prior - 0.5 * np.array([state.cost for state in self._states])
+            weight = np.exp(log - self.nothing)
+        return [(x.scatter, x.share, float(w)) for x, w in zip(self._states, weight, strict=True)]
+
     def estimate_share(self, items: Sequence[PossibleCause] = ()) -> float:
         """The share of their units by which the effects scatter, where the `items` are causes."""
-        shares = np.array([state.share for state in self._states])
-        if items:
-            found = self.compare([[c for item in items for c in item.columns]])
-            return float(found.weight[:, 0] @ shares)
-        weight = self._log_prior - 0.5 * np.array([state.cost for state in self._states])
-        return float(np.exp(weight - self.nothing) @ shares)
+        return sum(share * weight for _, share, weight in self.weigh_states(items))
+
+    def assume_spread(self, share: float, causes: Sequence[int]) -> NDArray:
+        """By how much each column's size is assumed to scatter: the columns `causes` as much as one
+        may meet, the others by a share of their units."""
+        B = share * self.unit
+        B[list(causes)] = _LARGEST * self.typical[list(causes)]
+        return B
 
     def _make_states(
         self, scatters: NDArray, shares: NDArray, causes: Sequence[int] = ()
     ) -> list[_BackgroundState]:
-        P, out, causes = self._known, [], list(causes)
+        P, out, causes = self.known, [], list(causes)
         for scatter in scatters:
-            weight = scatter**2 / (1 + scatter**2 * self._z / self.excess) / self.excess
-            G = self._gram.sum(axis=0) - np.einsum("n,np,nq->pq", weight, self._own, self._own)
+            weight = scatter**2 / (1 + scatter**2 * self.z / self.excess) / self.excess
+            G = self.gram.sum(axis=0) - np.einsum("n,np,nq->pq", weight, self.own, self.own)
             G = G / self.excess
             A = G[:P, :P]
             scale = np.sqrt(np.maximum(np.diag(A), 1e-12))
@@ -174,7 +181,7 @@ class Evidence:
             known = inverse @ G[:P, P:]
             R = G[P:, P:] - G[P:, :P] @ known
             plain = inverse, known
-            volume = np.log1p(scatter**2 * self._z / self.excess).sum()
+            volume = np.log1p(scatter**2 * self.z / self.excess).sum()
             volume += np.linalg.slogdet(unit + 1e-13 * np.eye(P))[1] + 2 * np.log(scale).sum()
             M, h, squares = R[:-1, :-1], R[:-1, -1], float(R[-1, -1])
             for share in shares:
@@ -186,8 +193,7 @@ class Evidence:
                         )
                     )
                     continue
-                B = share * self._unit
-                B[causes] = _LARGEST * self._typical[causes]
+                B = self.assume_spread(share, causes)
                 Q = np.eye(len(B)) + B[:, None] * M * B
                 C = np.linalg.inv(Q)
                 mean = -C @ (B * h)
@@ -207,7 +213,7 @@ class Evidence:
                 P, q = state.M[index[:, :, None], index[:, None, :]], state.h[index]
                 variance, removed = np.zeros(index.shape), 0.0
             else:
-                B = state.share * self._unit[index]
+                B = state.share * self.unit[index]
                 inverse = np.linalg.inv(state.C[index[:, :, None], index[:, None, :]])
                 mean = state.mean[index]
                 P = (inverse - np.eye(k)) / B[:, :, None] / B[:, None, :]
@@ -215,7 +221,7 @@ class Evidence:
                 removed = np.einsum("ni,nij,nj->n", mean, inverse, mean)
                 removed = removed - np.linalg.slogdet(inverse)[1]
                 variance = B**2
-            P = P + (_LARGEST * self._typical[index])[:, :, None] ** -2.0 * np.eye(k)
+            P = P + (_LARGEST * self.typical[index])[:, :, None] ** -2.0 * np.eye(k)
             scale = np.sqrt(np.maximum(np.einsum("nii->ni", P), 1e-30))
             unit = P / scale[:, :, None] / scale[:, None, :] + _RIDGE * np.eye(k)
             V = np.linalg.inv(unit) / scale[:, :, None] / scale[:, None, :]
@@ -240,7 +246,7 @@ class Evidence:
         return [
             item.effect
             for item in self.items
-            if item.shape is not None and item.shape.placed and self._unit[item.columns[0]] > least
+            if item.shape is not None and item.shape.placed and self.unit[item.columns[0]] > least
         ]
 
     def project_out_small(self) -> tuple[NDArray, NDArray, int]:
@@ -249,7 +255,7 @@ class Evidence:
         of the first of these columns."""
         (state,) = self._make_states(self._scatters[[self._find_likeliest()]], np.array([1.0]))
         p = len(self.small.index)
-        known = state.M[:p, :p] + np.diag(self._unit[:p] ** -2.0)
+        known = state.M[:p, :p] + np.diag(self.unit[:p] ** -2.0)
         cross = np.linalg.solve(known, state.M[:p, p:])
         M = state.M[p:, p:] - state.M[p:, :p] @ cross
         return M * self.excess, (state.h[p:] - state.h[:p] @ cross) * self.excess, p
@@ -271,8 +277,8 @@ class Evidence:
         alone = self._log_prior - 0.5 * np.array([state.cost for state in states])
         out = [float(_sum_logs(alone)) - self.nothing]
         for rows in curves:
-            cross, gram = np.swapaxes(self._rows, 1, 2) @ rows, np.swapaxes(rows, 1, 2) @ rows
-            own = np.einsum("nr,nrk->nk", self._push, rows)
+            cross, gram = np.swapaxes(self.rows, 1, 2) @ rows, np.swapaxes(rows, 1, 2) @ rows
+            own = np.einsum("nr,nrk->nk", self.push, rows)
             both = zip(states, alone, strict=True)
             every = [x + 0.5 * g for state, x in both for g in self._gain_curve(
                 state, cross, gram, own, priors)]  # fmt: skip
@@ -289,9 +295,9 @@ class Evidence:
     ) -> list[float]:
         """By how much -2 log likelihood falls with the columns of a curve, for each prior; `cross`
         (n, p, k), `gram` (n, k, k) and `own` (n, k) are their products."""
-        P = self._known
-        weight = state.scatter**2 / (self.excess + state.scatter**2 * self._z)
-        X = cross.sum(axis=0) - np.einsum("n,np,nk->pk", weight, self._own, own)
+        P = self.known
+        weight = state.scatter**2 / (self.excess + state.scatter**2 * self.z)
+        X = cross.sum(axis=0) - np.einsum("n,np,nk->pk", weight, self.own, own)
         Y = gram.sum(axis=0) - np.einsum("n,nj,nk->jk", weight, own, own)
         X, Y = X / self.excess, Y / self.excess
         mixed = X[P:] - state.known.T @ X[:P]
@@ -318,7 +324,7 @@ class Evidence:
             mine = slice(start, start + len(item.columns))
             start += len(item.columns)
             V = found.covariance[:, 0, mine, mine]
-            least = (least_share * self._unit[list(item.columns)]) ** 2
+            least = (least_share * self.unit[list(item.columns)]) ** 2
             V = V + np.maximum(found.background[:, 0, mine], least)[:, :, None] * np.eye(
                 len(item.columns)
             )
