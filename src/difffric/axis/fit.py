@@ -61,7 +61,7 @@ def fit_axis(
         names = [x for x in names if x not in held]
         start = start | {x: setup.values[x] for x in held}
         end = search(ready.run_data, start, names, imposed)
-        end, bounded = _hold_at_zero(ready, end)
+        end, bounded = hold_in_bounds(ready, end, setup)
         tell("weighing what is left", 0.7)
         return conclude_fit(setup, ready, end, left_open, bounded, free)
 
@@ -161,19 +161,30 @@ def _widen(end: SearchEnd, scatter: float) -> np.ndarray:
     return covariance
 
 
-def _hold_at_zero(ready: PreparedRecording, end: SearchEnd) -> tuple[SearchEnd, list[str]]:
-    """The search with the viscous friction at 0 where it came out below."""
-    if VISCOUS not in end.names or end.values[VISCOUS] >= 0:
-        return end, []
-    error = float(np.sqrt(end.noise.covariance[[*end.names].index(VISCOUS)] @ np.array(
-        [x == VISCOUS for x in end.names], float)))  # fmt: skip
-    note = (
-        f"friction falls with speed: k_v would be {end.values[VISCOUS]:.3g} ± {error:.2g} N s/m; "
-        "it is held at 0, and its error is not known"
-    )
-    names = [x for x in end.names if x != VISCOUS]
-    again = search(ready.run_data, end.values | {VISCOUS: 0.0}, names, end.imposed)
-    return again, [note]
+def hold_in_bounds(
+    ready: PreparedRecording, end: SearchEnd, setup: AxisSetup
+) -> tuple[SearchEnd, list[str]]:
+    """Return the search with what passed its bound held there, and a note on each: viscous friction
+    below 0, and what the set-up bounds."""
+    notes: list[str] = []
+    for name in end.names:
+        said = setup.extras.get(name, AxisExtras())
+        lower = 0.0 if said.lower is None and name == VISCOUS else said.lower
+        value = end.values[name]
+        bound = lower if lower is not None and value < lower else None
+        bound = said.upper if said.upper is not None and value > said.upper else bound
+        if bound is None:
+            continue
+        i = [*end.names].index(name)
+        error = float(np.sqrt(max(end.noise.covariance[i, i], 0.0)))
+        what = "friction falls with speed: " if name == VISCOUS and bound == 0 else ""
+        notes.append(
+            f"{what}{name} would be {value:.3g} ± {error:.2g}; it is held at {bound:g}, and its "
+            "error is not known"
+        )
+        names = [x for x in end.names if x != name]
+        end = search(ready.run_data, end.values | {name: bound}, names, end.imposed)
+    return end, notes
 
 
 def _describe_noise(end: SearchEnd) -> AxisNoise:
@@ -206,7 +217,7 @@ def _fill_setup(
         zip(end.names, np.sqrt(np.maximum(np.diag(end.noise.covariance), 0.0)), strict=True)
     )
     fitted = {x: end.values[x] for x in end.names}
-    fitted[VISCOUS] = end.values[VISCOUS]
+    fitted |= {x: end.values[x] for x in PLAIN_NAMES}
     extras = dict(setup.extras)
     if stuck is not None:
         fitted[BREAKAWAY] = max(stuck.value, fitted.get(COULOMB, setup.coulomb))

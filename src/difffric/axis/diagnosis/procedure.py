@@ -22,7 +22,7 @@ from difffric.axis.diagnosis.verdict import (
     AxisRemainder,
 )
 from difffric.axis.effects import EFFECTS, list_effect_keys
-from difffric.axis.fit import choose_free, conclude_fit
+from difffric.axis.fit import choose_free, conclude_fit, hold_in_bounds
 from difffric.axis.identifiability import find_open
 from difffric.axis.one_thread import hold_one_thread
 from difffric.axis.preparation import PreparedRecording, keep_sliding, prepare_recording
@@ -92,6 +92,7 @@ def diagnose_axis(
         start = start | {x: setup.values[x] for x in held}
         tell("fitting", 0.1)
         plain = search(ready.run_data, start, names, imposed)
+        plain, bounded = hold_in_bounds(ready, plain, setup)
         found, end = _add_causes(ready, setup, plain, tell)
         found, small, end = _part_by_size(ready, found, plain, end, matters)
         tell("judging on stretches held out", 0.8)
@@ -99,8 +100,8 @@ def diagnose_axis(
             judge_held_out(ready, plain.values, plain.names, imposed, end.noise.sizes, plain.model),
             judge_held_out(ready, end.values, end.names, imposed, end.noise.sizes, end.model),
         )
-        before = conclude_fit(setup, ready, plain, left_open)
-        after = conclude_fit(setup, ready, end, left_open) if found else before
+        before = conclude_fit(setup, ready, plain, left_open, bounded)
+        after = conclude_fit(setup, ready, end, left_open, bounded) if found else before
         remaining = _find_remainder(ready, end, after, matters)
     causes = tuple(_describe(ready, one, end) for one in found)
     verdict = _choose_verdict(causes, remaining)
