@@ -159,7 +159,7 @@ class Evidence:
         """The share of their units by which the effects scatter, where the `items` are causes."""
         return sum(share * weight for _, share, weight in self.weigh_states(items))
 
-    def assume_spread(self, share: float, causes: Sequence[int]) -> NDArray:
+    def compute_spread(self, share: float, causes: Sequence[int]) -> NDArray:
         """By how much each column's size is assumed to scatter: the columns `causes` as much as one
         may meet, the others by a share of their units."""
         B = share * self.unit
@@ -193,7 +193,7 @@ class Evidence:
                         )
                     )
                     continue
-                B = self.assume_spread(share, causes)
+                B = self.compute_spread(share, causes)
                 Q = np.eye(len(B)) + B[:, None] * M * B
                 C = np.linalg.inv(Q)
                 mean = -C @ (B * h)

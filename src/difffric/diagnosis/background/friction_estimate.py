@@ -46,7 +46,7 @@ def _estimate_at(
     """The means and the variances (n,) of the log mu_s for one scatter of mu_s and one share of the
     background."""
     task, at, small = evidence.task, evidence.at, evidence.small
-    spread = evidence.assume_spread(share, [c for item in items for c in item.columns])
+    spread = evidence.compute_spread(share, [c for item in items for c in item.columns])
     spread = np.maximum(spread, _NO_SPREAD * evidence.unit)
     # Each push's own mu_s is eliminated, as in the comparison of sets.
     known = scatter**2 / (1 + scatter**2 * evidence.z / evidence.excess) / evidence.excess
