@@ -37,6 +37,8 @@ COMMANDS = {
     "simulate": ["simulate", SETUP, "--velocity-mm-min", "3000"],
     "simulate slow": ["simulate", SETUP, "--velocity-mm-min", "500", "--stroke-mm", "2"],
     "family": ["family", SETUP],
+    "check table": ["check", TABLE, "--setup", SETUP],
+    "check recordings": ["check", RECORDINGS, "--setup", SETUP],
     "fit table": ["fit", TABLE, "--setup", SETUP, "--profile", "--next-push"],
     "fit recordings": ["fit", RECORDINGS, "--setup", SETUP],
     "fit slides": ["fit", "{examples}/slides.csv", "--setup", SETUP],

@@ -18,6 +18,7 @@ SETUP, PUSHES, RING = EXAMPLES / "setup.toml", EXAMPLES / "pushes.csv", EXAMPLES
 COMMANDS = {
     "simulate": (SETUP, "--velocity-mm-min", 3000),
     "family": (SETUP,),
+    "check": (PUSHES, "--setup", SETUP),
     "fit": (PUSHES, "--setup", SETUP),
     "identify": (PUSHES, "--setup", "fit/setup.toml"),
     "acquire": ("--simulate", SETUP, "--velocity-mm-min", 3000, "--velocity-mm-min", 5000),
@@ -28,9 +29,9 @@ COMMANDS = {
     "export": (SETUP, "--slowest-mm-min", 3000),
 }
 """Each on the examples; a path without a folder is below the other commands' outputs."""
-ELSEWHERE = {"diagnose", "paper", "warm"}
+ELSEWHERE = {"diagnose", "init", "paper", "warm"}
 """The first two take long, and are looked at where they are run anyway, in test_procedure_tables.py
-and test_paper.py; to warm the store leaves no page."""
+and test_paper.py; to warm the store and to begin a set-up leaves no page."""
 ALARM = 3  # monitor's exit status where it raises one, as it does on the example
 BAD = """
 <!doctype html><meta charset="utf-8"><title>bad</title>

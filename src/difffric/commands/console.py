@@ -15,6 +15,7 @@ from rich.text import Text
 
 from difffric.commands import reports
 from difffric.errors import InputError
+from difffric.name_text import make_printable
 from difffric.output_folder import check_writable
 from difffric.progress import Tell
 from difffric.timings import Timings, keep_timings
@@ -24,6 +25,12 @@ if TYPE_CHECKING:
 
 _WIDEST = 200
 """Characters of a printed table: no table of ours needs more."""
+
+
+def open_console(*, stderr: bool = False) -> Console:
+    """Return a console that shows texts as they are: names from users' files may look like markup
+    or like the code of an emoji."""
+    return Console(stderr=stderr, highlight=False, markup=False, emoji=False)
 
 
 class ShownProgress:
@@ -45,13 +52,16 @@ def show_progress(quiet: bool) -> Iterator[ShownProgress]:
     # Here, as a command's help shows no bar and would wait for its import.
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    console = Console(stderr=True)
-    shown = Progress(*columns, console=console, transient=True, disable=quiet)
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
+    console = open_console(stderr=True)
+    shown = Progress(
+        *columns, console=console, transient=True, disable=quiet or not console.is_terminal
+    )
     with keep_timings() as timings, shown as bar:
         task = bar.add_task("starting", total=1.0)
         yield ShownProgress(
-            lambda what, share: bar.update(task, description=what, completed=share), timings
+            lambda what, share: bar.update(task, description=make_printable(what), completed=share),
+            timings,
         )
 
 
@@ -90,10 +100,10 @@ def print_and_write(
         told = [f"Data: {note}." for note in dict.fromkeys(notes)]
         report = replace(report, summary=[*told, *report.summary])
         answer = {**answer, "data_notes": [*dict.fromkeys(notes)]}
-    console = Console(highlight=False, markup=False)
+    console = open_console()
     own_width = console.width
     for line in report.summary:
-        console.print(line)
+        console.print(make_printable(line))
     for section in report.sections:
         for table in section.tables:
             shown = _lay_out(table)
@@ -124,5 +134,5 @@ def _lay_out(table: Table) -> RichTable:
     for i, column in enumerate(table.columns):
         shown.add_column(Text(column), justify="left" if i == 0 else "right", overflow="fold")
     for row in table.rows:
-        shown.add_row(*(Text(cell) for cell in row))
+        shown.add_row(*(Text(make_printable(cell)) for cell in row))
     return shown

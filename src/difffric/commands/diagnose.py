@@ -20,7 +20,16 @@ from difffric.commands.fleet_options import (
     check_setup,
     is_fleet,
 )
-from difffric.commands.options import Channel, DataMass, Out, Quiet, SkipBad, read_setup_for
+from difffric.commands.options import (
+    Channel,
+    DataMass,
+    Out,
+    Quiet,
+    SkipBad,
+    TrustUnits,
+    load_data,
+    read_setup_for,
+)
 from difffric.errors import InputError
 
 
@@ -36,6 +45,7 @@ def diagnose(
     use_data_mass: DataMass = False,
     skip_bad: SkipBad = False,
     channel: Channel = None,
+    trust_units: TrustUnits = False,
     workers: Workers = None,
     scheduler: Scheduler = None,
     out: Out = None,
@@ -55,7 +65,7 @@ def diagnose(
         return run.run_diagnose(data, file, matters, skip_bad, out, quiet)
     check_setup_stays(out, file)
     rig = read_setup_for(file, channel)
-    loaded = df.load(data, skip_bad=skip_bad, channels=rig.channels)
+    loaded = load_data(data, rig, skip_bad, trust_units)
     with show_progress(quiet) as tell:
         found = df.diagnose(
             rig,

@@ -18,6 +18,8 @@ from difffric.commands.options import (
     Quiet,
     SetupOption,
     SkipBad,
+    TrustUnits,
+    load_data,
     read_setup_for,
 )
 from difffric.errors import InputError
@@ -45,6 +47,7 @@ def fit(
     use_data_mass: DataMass = False,
     skip_bad: SkipBad = False,
     channel: Channel = None,
+    trust_units: TrustUnits = False,
     one_start: Annotated[
         bool, typer.Option("--one-start", help="search from the set-up's values only")
     ] = False,
@@ -75,7 +78,7 @@ def fit(
         return run.run_fit(data, setup, free or None, skip_bad, out, quiet)
     check_setup_stays(out, setup)
     rig = read_setup_for(setup, channel)
-    loaded = df.load(data, skip_bad=skip_bad, channels=rig.channels)
+    loaded = load_data(data, rig, skip_bad, trust_units)
     if robust and isinstance(loaded, df.Recordings):
         raise InputError(
             f"--robust: {data}: expected a table; recordings are fitted sample by sample"

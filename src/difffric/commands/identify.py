@@ -17,7 +17,16 @@ from difffric.commands.fleet_options import (
     check_setup,
     is_fleet,
 )
-from difffric.commands.options import Channel, DataMass, Out, Quiet, SkipBad, read_setup_for
+from difffric.commands.options import (
+    Channel,
+    DataMass,
+    Out,
+    Quiet,
+    SkipBad,
+    TrustUnits,
+    load_data,
+    read_setup_for,
+)
 
 
 def identify(
@@ -26,6 +35,7 @@ def identify(
     use_data_mass: DataMass = False,
     skip_bad: SkipBad = False,
     channel: Channel = None,
+    trust_units: TrustUnits = False,
     workers: Workers = None,
     scheduler: Scheduler = None,
     out: Out = None,
@@ -41,7 +51,7 @@ def identify(
 
         return run.run_identify(data, file, skip_bad, out, quiet)
     rig = read_setup_for(file, channel)
-    loaded = df.load(data, skip_bad=skip_bad, channels=rig.channels)
+    loaded = load_data(data, rig, skip_bad, trust_units)
     with show_progress(quiet) as tell:
         found = df.identify(rig, loaded, use_data_mass=use_data_mass, skip_bad=skip_bad, tell=tell)
     answer = reports.identify.describe_friction(found, rig.rig)

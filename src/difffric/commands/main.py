@@ -25,6 +25,9 @@ COMMANDS = {
     "family": "The curve families over speed and mu_s, the fits (3) and (5), their inverses (4), "
     "(6).",
     "acquire": "Record pushes into pushes.tdms, in --out or here, and identify them as they come.",
+    "init": "A first, commented setup.toml for a rig, with k and b guessed from its pushes.",
+    "check": "What measured pushes hold, before a fit: traces, landmarks, noise, what is missing, "
+    "what they can determine.",
     "fit": "Calibrate a part or rig on measured pushes: parameters, errors, what stays open.",
     "identify": "mu_s of each push from force, distance, (7), the optimal combination, the "
     "recording; of a folder or a pattern of files, a fleet's: one Parquet data set.",
@@ -43,6 +46,9 @@ COMMANDS = {
     "answers.",
 }
 """Each command, and what `--help` says it does."""
+
+FIRST_STEPS = ("check", "init")
+"""Those that lie in the folder `first_steps`."""
 
 _GARBAGE = 100_000
 """Objects made between two collections of garbage: what is imported and compiled stays to the end,
@@ -76,7 +82,8 @@ class LazyGroup(TyperGroup):
 
 def load_command(name: str) -> Any:
     """Import a command's module and return the command with its options."""
-    function = getattr(importlib.import_module(f"difffric.commands.{name}"), name)
+    folder = "first_steps." if name in FIRST_STEPS else ""
+    function = getattr(importlib.import_module(f"difffric.commands.{folder}{name}"), name)
     alone = typer.Typer(**_LIKE_ALL)
     alone.command(name, help=COMMANDS[name])(function)
     return typer.main.get_command(alone)
@@ -141,6 +148,8 @@ def prepare_jax() -> None:
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    # What comes of numbers at the edge of all floats is told in words, or null with a reason.
+    warnings.filterwarnings("ignore", category=RuntimeWarning)
     # An entry that another process is just writing: the program is compiled here.
     warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
     # One small program at a time: handing it to another thread costs more than running it.

@@ -30,6 +30,9 @@ Channel = Annotated[
         help="what the file calls a column or channel of ours, once each: force=Kraft",
     ),
 ]
+TrustUnits = Annotated[
+    bool, typer.Option("--trust-units", help="take units as the file says, however odd the data")
+]
 SkipBad = Annotated[bool, typer.Option("--skip-bad", help="leave out what cannot be used")]
 Out = Annotated[Path | None, typer.Option(help="folder for result.json, report.html, figures")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="no progress on standard error")]
@@ -50,7 +53,16 @@ def read_setup_for(setup: Path, channel: list[str] | None) -> df.Setup:
 
     Raises `InputError` where the file is wrong, and for a `--channel` without its two names.
     """
-    read, given = df.read_setup(setup), dict[str, str]()
+    read, given = df.read_setup(setup), parse_channels(channel)
+    return replace(read, channels={**read.channels, **given}) if given else read
+
+
+def parse_channels(channel: list[str] | None) -> dict[str, str]:
+    """Return the file's names by ours, as `--channel` says them.
+
+    Raises `InputError` for one without its two names, and for one given twice.
+    """
+    given: dict[str, str] = {}
     for text in channel or []:
         ours, equals, theirs = text.partition("=")
         if not (equals and ours.strip() and theirs.strip()):
@@ -58,7 +70,24 @@ def read_setup_for(setup: Path, channel: list[str] | None) -> df.Setup:
         if ours.strip() in given:
             raise InputError(f"--channel {ours.strip()}: given twice, expected once")
         given[ours.strip()] = theirs.strip()
-    return replace(read, channels={**read.channels, **given}) if given else read
+    return given
+
+
+def load_data(
+    data: Path, setup: df.Setup, skip_bad: bool, trust_units: bool
+) -> df.Pushes | df.Recordings:
+    """Load measured pushes with the names that the set-up gives, and hold their units against it.
+
+    Raises `InputError` where they cannot be used, or are plainly in other units than they say,
+    unless `trust_units`.
+    """
+    # Not at the top: help needs no check.
+    from difffric.measurements.unit_checks import refuse_wrong_units
+
+    loaded = df.load(data, skip_bad=skip_bad, channels=setup.channels)
+    if trust_units:
+        return loaded
+    return replace(loaded, notes=(*loaded.notes, *refuse_wrong_units(loaded, setup.rig)))
 
 
 def load_rig(

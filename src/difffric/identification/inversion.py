@@ -270,7 +270,8 @@ def _find_crossings(
         exists = np.isfinite(a) & np.isfinite(b)
         crosses = exists & ((a < 0) != (b < 0))
         # Same sign at both ends, but heading for zero from both: it may touch between.
-        dips = exists & (a * b > 0) & (a * sa < 0) & (b * sb > 0)
+        left, right = np.sign(a), np.sign(b)  # products of large numbers would overflow
+        dips = exists & (left * right > 0) & (left * sa < 0) & (right * sb > 0)
         edge = (kind[:, :-1] != kind[:, 1:]) & (np.isfinite(a) | np.isfinite(b))
         divide = (edge | dips) if level < _LEVELS - 1 else np.zeros_like(edge)
         for row, column in np.argwhere(np.abs(excess) <= HIT):

@@ -3,7 +3,9 @@
 - `load` (`load_file`) reads a file of either kind: a table (.csv) gives `Pushes`, one number of
   each kind a push; recordings (.tdms) give `Recordings`, samples over time, read when asked for.
 - `quantities`: what may be said of a push, with its names in files, units and ranges.
-- `checks`: `check_data` holds data against the rig that they are said to come from.
+- `headings`: what a name in a file means, in which unit.
+- `checks`: `check_data` holds data against the rig that they are said to come from; `unit_checks`
+  tells units that are plainly wrong.
 - `noise`: how large the noise of a channel is, and how much one sample says about the next.
 - `files`: the file formats. `reduction`: F_p and d from samples, without a model.
 

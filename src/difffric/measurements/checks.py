@@ -20,6 +20,12 @@ MASS_TOLERANCE = 0.01
 """Relative: a workshop's scale is better than that, another part is not."""
 _CHANCE = 1e-6  # of taking noise for saturation
 _SHORTEST = 3  # samples
+_FEWEST_ALIKE = 4
+"""Pushes with one and the same number from which on that is no accident."""
+_FASTER = 1.2
+"""Speeds that differ by so much have other forces and distances."""
+_FEWEST_SAMPLES = 16
+"""Samples below which a channel that stays at one value is not told: it may be short."""
 
 Data = TypeVar("Data", Pushes, Recordings)
 
@@ -52,7 +58,9 @@ def check_data(
                     f"mass {mass:.6g} kg, the set-up's is {own:.6g} kg: expected within 1 % "
                     "(--use-data-mass takes the data's)"
                 )
-    if isinstance(data, Recordings):
+    if isinstance(data, Pushes):
+        refuse_constant_columns(data)
+    else:
         data = data.in_newtons(rig.force_sensor.sensitivity)
         for i, push in enumerate(data):
             problems.setdefault(i, []).extend(_bad_samples(push, rig.force_sensor, keep_saturated))
@@ -66,6 +74,29 @@ def check_data(
         if lines
         else data
     )
+
+
+def refuse_constant_columns(pushes: Pushes) -> None:
+    """Raise `InputError` for forces or distances that are one and the same number at several
+    speeds, as of a sensor that is stuck."""
+    if pushes.free_slides:
+        speeds, columns = pushes.release_velocity, ("sliding_distance",)
+    else:
+        speeds, columns = pushes.velocity, ("peak_force", "sliding_distance")
+    for name in columns:
+        values = getattr(pushes, name)
+        known = np.isfinite(values)
+        if np.count_nonzero(known) < _FEWEST_ALIKE or len(set(values[known])) > 1:
+            continue
+        if speeds[known].max() > _FASTER * speeds[known].min():
+            key = {"peak_force": "peak_force_N", "sliding_distance": "sliding_distance_um"}[name]
+            value = values[known][0] * (1.0 if name == "peak_force" else 1e6)
+            n = f"{np.count_nonzero(known)} of {len(pushes)}"
+            where = f"{pushes.source}: " if pushes.source else ""
+            raise InputError(
+                f"{where}{key} is {value:.6g} in {n} pushes, at speeds that differ: a sensor that "
+                "was stuck? leave the column out"
+            )
 
 
 def find_saturation(force: Channel, limit: float) -> float | None:
@@ -135,19 +166,37 @@ def _bad_samples(push: Recording, sensor: ForceSensor, keep_saturated: bool) -> 
     problems = []
     for channel in (push.position, push.pusher, push.force):
         try:
-            if channel is push.force and channel is not None and not keep_saturated:
+            value = None if channel is None else find_only_value(channel)
+            if channel is not None and value is not None and (value or channel is not push.force):
+                problems.append(describe_constant(push, channel, value))
+            elif channel is push.force and channel is not None and not keep_saturated:
                 level = find_saturation(channel, float(sensor.range))
                 if level is not None:
                     problems.append(
                         f"force saturated at {level:.6g} N (the sensor's range is "
                         f"{float(sensor.range):g} N): expected a force that stays below"
                     )
-            elif channel is not None:
-                for _ in channel.chunks():
-                    pass
         except InputError as error:
             problems.append(str(error))
     return problems
+
+
+def find_only_value(channel: Channel) -> float | None:
+    """The value of all samples of a channel, or None where they differ; all are read."""
+    low, high = math.inf, -math.inf
+    for samples in channel.chunks():
+        if len(samples):
+            low, high = min(low, float(samples.min())), max(high, float(samples.max()))
+    return low + 0.0 if low == high and channel.n >= _FEWEST_SAMPLES else None  # no -0
+
+
+def describe_constant(push: Recording, channel: Channel, value: float) -> str:
+    """What to say of a channel that stays at one value."""
+    if channel is push.force:
+        return f"force is {value:.6g} {channel.unit} throughout: is the sensor connected?"
+    name = "position" if channel is push.position else "pusher"
+    why = "the probe never moved: leave the channel out" if name == "position" else "it never moved"
+    return f"{name} is {value * 1e6:.6g} um throughout: {why}"
 
 
 def _place(data: Pushes | Recordings, i: int) -> str:

@@ -100,8 +100,10 @@ def find_meant(
     for found in (exact, sorted(by_stem, key=lambda q: -len(q.stem))):
         if found:
             return found[0]
-    close = difflib.get_close_matches(plain, [q.key.lower() for q in known], 1, alike)
-    return next((q for q in known if [q.key.lower()] == close), None)
+    # Without units: names of one unit would be alike by it alone.
+    stems = {q.stem.lower(): q for q in reversed(known)}
+    close = difflib.get_close_matches(split_unit(plain)[0].lower(), stems, 1, alike)
+    return stems[close[0]] if close else None
 
 
 def describe_unknown(name: str, known: Sequence[MeasuredQuantity]) -> str:

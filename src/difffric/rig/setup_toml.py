@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import tomllib
 from contextlib import suppress
 from dataclasses import asdict
@@ -190,13 +189,8 @@ def _format_tables(setup: Setup, name: str) -> dict[str, dict[str, str]]:
                 tables[section][q.key] = text
     if problems:
         raise InputError("\n".join(f"{name}: {problem}" for problem in problems))
-    tables[FILES] = {_format_key(k): json.dumps(x) for k, x in setup.channels.items()}
+    tables[FILES] = {k: json.dumps(x, ensure_ascii=False) for k, x in setup.channels.items()}
     return {section: table for section, table in tables.items() if table}
-
-
-def _format_key(key: str) -> str:
-    """A key as TOML has it: in quotes where it is more than letters, digits and underscores."""
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key)
 
 
 def _find_disorder(rig: Rig) -> list[str]:

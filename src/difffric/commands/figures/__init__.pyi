@@ -1,4 +1,5 @@
 from . import acquire as acquire
+from . import check as check
 from . import diagnose as diagnose
 from . import fit as fit
 from . import fleet as fleet

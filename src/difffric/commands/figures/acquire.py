@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from difffric.commands.figures.style import STYLE, make_figure
+from difffric.commands.figures.style import STYLE, make_figure, write_name
 from difffric.identification.live import LivePush
 from difffric.measurements.recordings import Channel, Recording
 from difffric.number_text import format_number
@@ -42,7 +42,9 @@ def draw_strokes(recordings: Sequence[Recording]) -> Figure:
             t, force = find_envelope(push.force)
             t = t - push.force.start + begin
             speed = f"{to_mm_min(push.velocity):g} mm/min"
-            label = f"{push.name}, {speed}: at most {format_number(float(force.max()), 4)} "
+            label = (
+                f"{write_name(push.name)}, {speed}: at most {format_number(float(force.max()), 4)} "
+            )
             ax.plot(
                 1e3 * t, force, color=(_BLUE, _RED)[i % 2], lw=0.8, label=label + push.force.unit
             )
@@ -65,7 +67,7 @@ def draw_live(figure: Figure, pushes: Sequence[LivePush | None], last: Recording
         t, force = find_envelope(last.force)
         left.plot(1e3 * t, force, color=_BLUE, lw=0.8)
         left.set(xlabel="time [ms]", ylabel=f"force [{last.force.unit}]")
-        left.set_title(f"{last.name}, {to_mm_min(last.velocity):g} mm/min", loc="left")
+        left.set_title(f"{write_name(last.name)}, {to_mm_min(last.velocity):g} mm/min", loc="left")
         newest = pushes[-1] if pushes else None
         if newest and newest.reduced and not np.isnan(newest.reduced.peak_force):
             seen = newest.reduced

@@ -6,7 +6,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from difffric.commands.figures.style import STYLE, make_figure
+from difffric.commands.figures.style import STYLE, make_figure, write_name
 from difffric.diagnosis.location import Location
 from difffric.diagnosis.misfit import Misfit
 from difffric.diagnosis.verdict import Diagnosis
@@ -68,7 +68,7 @@ def draw_where(found: Diagnosis) -> Figure:
             ax.set_visible(True)
             _one(ax, one, bool(found.causes))
             if one.channel == channels[0]:
-                ax.set_title(one.by)
+                ax.set_title(write_name(one.by))
         for row, channel in enumerate(channels):
             axes[row, 0].set_ylabel(f"{channel}\n(1 is perfect)")
     return figure
@@ -86,7 +86,9 @@ def _one(ax, one: Misfit, causes: bool) -> None:
     if max(every) > 30 * max(min(every), 0.1):
         ax.set_yscale("log")
     if named:
-        ax.set_xticks(x, one.at, rotation=30, ha="right", fontsize=8)
+        ax.set_xticks(
+            x, [write_name(str(name)) for name in one.at], rotation=30, ha="right", fontsize=8
+        )
         ax.set_xlim(-0.5, len(x) - 0.5)
     elif unit:
         ax.set_xlabel(f"[{unit}]")

@@ -13,7 +13,13 @@ from difffric.calibration.data_comparison import PushComparison, TraceComparison
 from difffric.calibration.profiles import Profile
 from difffric.calibration.result import Fit
 from difffric.commands.figures.friction_of_pushes import draw_friction_of_pushes
-from difffric.commands.figures.style import OPEN_MARKS, STYLE, group_by_condition, make_figure
+from difffric.commands.figures.style import (
+    OPEN_MARKS,
+    STYLE,
+    group_by_condition,
+    make_figure,
+    write_name,
+)
 from difffric.units import to_mm_min, to_um
 
 
@@ -38,7 +44,7 @@ def draw_pushes(fit: Fit, beside: PushComparison) -> Figure:
         for condition, mine, colour, marker in group_by_condition(fit.conditions):
             curves = simulate_condition(fit, condition, speeds)
             for ax, j in zip(axes[0], panels, strict=True):
-                name = condition or "measured"
+                name = write_name(condition) or "measured"
                 ax.errorbar(
                     v[mine],
                     scale[j] * beside.measured[j, mine],
@@ -107,7 +113,7 @@ def draw_traces(shown: Mapping[str, Mapping[str, TraceComparison]]) -> Figure:
             height_ratios=(2.6, 1.2) * len(kinds),
         )
         for column, (title, channels) in enumerate(shown.items()):
-            axes[0, column].set_title(title, fontsize=10)
+            axes[0, column].set_title(write_name(title, 40), fontsize=10)
             for row, kind in enumerate(kinds):
                 top, bottom = axes[2 * row, column], axes[2 * row + 1, column]
                 if kind in channels:
@@ -194,7 +200,7 @@ _UNITS = {"k_N_per_m": "N/m", "b_N_s_per_m": "N s/m", "k_v_N_s_per_m": "N s/m", 
 
 def _symbol(label: str) -> str:
     name, _, condition = label.partition("[")
-    return _SYMBOLS.get(name, name) + (f"\n{condition[:-1]}" if condition else "")
+    return _SYMBOLS.get(name, name) + (f"\n{write_name(condition[:-1], 16)}" if condition else "")
 
 
 def draw_profiles(fit: Fit, found: Mapping[str, Profile]) -> Figure:
@@ -207,7 +213,7 @@ def draw_profiles(fit: Fit, found: Mapping[str, Profile]) -> Figure:
             _profile(ax, one, fit.standard_error(label))
             name, _, condition = label.partition("[")
             unit = f" [{_UNITS[name]}]" if name in _UNITS else ""
-            which = f", {condition[:-1]}" if condition else ""
+            which = f", {write_name(condition[:-1])}" if condition else ""
             ax.set_xlabel(f"{_SYMBOLS.get(name, name)}{which}{unit}")
         for ax in axes[:, 0]:
             ax.set_ylabel("rise of chi-square")

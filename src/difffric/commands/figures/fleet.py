@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
 from matplotlib.figure import Figure
 
-from difffric.commands.figures.style import STYLE, make_figure
+from difffric.commands.figures.style import STYLE, make_figure, write_name
 
 MOST = 12
 """Rigs that have a line and a name of their own; of more, the rest is drawn in grey."""
@@ -32,7 +32,7 @@ def draw_by_date(days: Mapping[str, Sequence[Mapping]]) -> Figure:
             bar = np.array([row["spread"] or 0.0 for row in rows], float) * mean
             look = {"color": "#bbb", "zorder": 1}
             if rig in named:
-                look = {"color": next(colours), "label": rig, "zorder": 2}
+                look = {"color": next(colours), "label": write_name(rig), "zorder": 2}
             ax.errorbar(at, mean, bar, fmt="o-", ms=4, lw=0.8, elinewidth=0.8, capsize=2, **look)
         locator = AutoDateLocator(minticks=2)
         ax.xaxis.set_major_locator(locator)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from difffric.commands.figures.style import STYLE
+from difffric.commands.figures.style import STYLE, write_name
 from difffric.fleet.shared_effects import NAMED, NOT_VISIBLE, POSSIBLE, Row
 
 MOST = 10.0
@@ -64,7 +64,7 @@ def draw_matrix(
             if rig in words:
                 lower.text((m - 1) / 2, i, words[rig], ha="center", va="center", fontsize=9)
         upper.set_yticks([0], [_ALL], fontweight="bold")
-        lower.set_yticks(range(n), [_short(rig) for rig in rigs], fontsize=9)
+        lower.set_yticks(range(n), [write_name(rig, 28) for rig in rigs], fontsize=9)
         for label, rig in zip(lower.get_yticklabels(), rigs, strict=True):
             if rig in odd:
                 label.set(color=_RED, fontweight="bold")
@@ -100,7 +100,3 @@ def draw_matrix(
 def _look(mark: str) -> dict:
     fill = _RED if mark == NAMED else "none"
     return {"ms": 7, "mfc": fill, "mec": _RED, "mew": 1.4}
-
-
-def _short(rig: str, most: int = 28) -> str:
-    return rig if len(rig) <= most else f"…{rig[1 - most :]}"

@@ -10,7 +10,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from difffric.commands.figures.style import OPEN_MARKS, STYLE, group_by_condition, make_figure
+from difffric.commands.figures.style import (
+    OPEN_MARKS,
+    STYLE,
+    group_by_condition,
+    make_figure,
+    write_name,
+)
 
 
 def draw_friction_of_pushes(
@@ -41,7 +47,7 @@ def draw_friction_of_pushes(
                 fmt=marker,
                 color=colour,
                 **OPEN_MARKS,
-                label=condition or "each push",
+                label=write_name(condition) or "each push",
             )
         ax.plot([], [], color="#666", lw=6, alpha=0.3, label=what)
         ax.set_xlabel("order of the pushes")

@@ -11,7 +11,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from difffric.commands.figures.friction_of_pushes import draw_friction_of_pushes
-from difffric.commands.figures.style import OPEN_MARKS, STYLE, group_by_condition, make_figure
+from difffric.commands.figures.style import (
+    OPEN_MARKS,
+    STYLE,
+    group_by_condition,
+    make_figure,
+    write_name,
+)
 from difffric.identification.estimates import WAYS, Identified
 from difffric.units import to_mm_min
 
@@ -55,7 +61,7 @@ def draw_identified(found: Identified, velocity: NDArray) -> Figure:
                     fmt=marker,
                     color=colour,
                     **OPEN_MARKS,
-                    label=condition or "each push",
+                    label=write_name(condition) or "each push",
                 )
         misfits = np.array([p.misfits for p in found])
         if misfits.any() and "mu_s_trace" in ways:

@@ -18,6 +18,7 @@ from difffric.acquisition.push import Acquired
 from difffric.commands.figures.acquire import draw_live
 from difffric.identification.live import LivePush
 from difffric.measurements.recordings import Recording
+from difffric.name_text import make_printable
 from difffric.number_text import format_number, format_pair
 from difffric.units import to_mm_min, to_um
 
@@ -59,7 +60,7 @@ class LiveView:
 
     def __init__(self, *, identified: bool, quiet: bool, console: Console | None = None):
         self._quiet = quiet
-        self._console = console or Console(stderr=True, highlight=False, markup=False)
+        self._console = console or Console(stderr=True, highlight=False, markup=False, emoji=False)
         self._columns = (*_COLUMNS, *(_IDENTIFIED if identified else ()))
         self._rows: list[list[str]] = []
         self._now = ""
@@ -83,7 +84,8 @@ class LiveView:
 
     def add(self, acquired: Acquired, found: LivePush | None) -> None:
         """Add a push to the table, or print its line."""
-        row, said = list_cells(acquired, found), "; ".join(list_notes(acquired, found))
+        row = [make_printable(cell) for cell in list_cells(acquired, found)]
+        said = make_printable("; ".join(list_notes(acquired, found)))
         if self._live:
             self._rows.append([*row, said])
             self._live.update(self._table(), refresh=True)

@@ -8,7 +8,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from difffric.commands.figures.style import MARKERS, STYLE, choose_colours, make_figure
+from difffric.commands.figures.style import MARKERS, STYLE, choose_colours, make_figure, write_name
 from difffric.monitoring.monitor import Monitor
 from difffric.monitoring.records import PushRecord
 from difffric.monitoring.shiryaev_roberts import DIRECTIONS
@@ -80,10 +80,16 @@ def _friction(ax, pushes: Sequence[PushRecord]) -> None:
             ms=3.5,
             mfc="none",
             mew=0.8,
-            label=f"{name} pushes".strip(),
+            label=f"{write_name(name)} pushes".strip(),
         )
         state, error = (np.array([getattr(x, k) or np.nan for x in mine]) for k in _STATE)
-        ax.plot(n, state, color=colour, lw=1.2, label=f"{name} state ± 2 standard errors".strip())
+        ax.plot(
+            n,
+            state,
+            color=colour,
+            lw=1.2,
+            label=f"{write_name(name)} state ± 2 standard errors".strip(),
+        )
         ax.fill_between(n, state - 2 * error, state + 2 * error, color=colour, alpha=0.2, lw=0)
     lost = [x.number for x in pushes if x.mu_s is None]
     if lost:

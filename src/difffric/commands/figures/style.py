@@ -11,6 +11,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from difffric.name_text import shorten_name
+
 COLOURS = {"DRY": "#b4532a", "OILY": "#1f6f8b"}
 """Of the paper's conditions: the same in every figure."""
 _OTHERS = ("#1f6f8b", "#b4532a", "#5b7f3b", "#7a4f9a", "#b08a1e", "#555555")
@@ -28,6 +30,14 @@ STYLE: Any = {
     "figure.constrained_layout.use": True,
     "svg.hashsalt": "difffric",
 }
+
+
+def write_name(name: str, most: int = 24) -> str:
+    """Return a name from a user's file as a figure may show it: its letters as they are, never a
+    formula, on one line of at most so many letters."""
+    line = shorten_name(name, most).replace("$", r"\$")
+    # Matplotlib leaves labels that begin with an underscore out of legends.
+    return f" {line}" if line.startswith("_") else line
 
 
 def choose_colours(conditions: Sequence[str]) -> dict[str, str]:

@@ -1,5 +1,6 @@
 from . import acquire as acquire
 from . import centre as centre
+from . import check as check
 from . import diagnose as diagnose
 from . import export as export
 from . import family as family

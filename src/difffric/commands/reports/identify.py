@@ -12,9 +12,13 @@ from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, 
 from difffric.identification.estimates import NONE, WAYS, Estimate, Identified
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
+from difffric.name_text import shorten_name
 from difffric.number_text import format_number, format_pair
 from difffric.rig.rig import Rig
 from difffric.units import to_mm_min
+
+_NAME = 40
+"""Letters of a name that a table has room for; result.json has it whole."""
 
 
 def summarise_conditions(found: Identified) -> dict[str, dict]:
@@ -129,7 +133,7 @@ def _summarise(found: Identified, answer: dict) -> list[str]:
     for condition, of in answer["conditions"].items():
         value, error = format_pair(of["mean"], of["standard_error"])
         spread = "" if of["spread"] is None else f", spread {100 * of['spread']:.2g} %"
-        name = f"{condition}: " if condition else ""
+        name = f"{shorten_name(condition, _NAME)}: " if condition else ""
         lines.append(f"{name}mu_s = {value} ± {error} ({of['pushes']} pushes{spread})")
     none = sum(p.best.value is None for p in found)
     if none:
@@ -148,7 +152,11 @@ def _tabulate_pushes(found: Identified, velocity: NDArray) -> Table:
     bad = any(p.misfits for p in found)
     rows = []
     for i, p in enumerate(found):
-        row = [p.name or str(i + 1), format_number(to_mm_min(velocity[i]), 5), p.condition or "–"]
+        row = [
+            shorten_name(p.name, _NAME) or str(i + 1),
+            format_number(to_mm_min(velocity[i]), 5),
+            shorten_name(p.condition, _NAME) or "–",
+        ]
         for way in ways:
             one = getattr(p, way)
             value, error = format_pair(one.value, one.standard_error)
@@ -172,6 +180,7 @@ def _tabulate_conditions(answer: dict) -> Table:
     for condition, of in answer["conditions"].items():
         value, error = format_pair(of["mean"], of["standard_error"])
         spread = None if of["spread"] is None else 100 * of["spread"]
-        rows.append([condition or "all", str(of["pushes"]), value, error, format_number(spread, 3)])
+        name = shorten_name(condition, _NAME) or "all"
+        rows.append([name, str(of["pushes"]), value, error, format_number(spread, 3)])
     columns = ("", "pushes", "mean mu_s", "± s.e.", "spread [%]")
     return Table("By condition (best estimates, weighted)", columns, rows)

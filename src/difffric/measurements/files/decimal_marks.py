@@ -9,6 +9,7 @@ _BLANKS = " \u00a0\u2009\u202f'’"  # that group digits by thousands, and are n
 _GROUPED = re.compile(rf"([+-]?\d{{1,3}})(?:[{_BLANKS}]\d{{3}})+(?!\d)")
 _TENTATIVE = re.compile(r"[+-]?(\d*)([.,])(\d*)((?:[.,]\d*)*)(?:[eE][+-]?\d{1,4})?")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,4})?", re.ASCII)
+_TWO_POINTS = re.compile(r"\.[^.\n]*\.")
 _GROUP = 3
 """Digits between two thousands marks."""
 
@@ -29,10 +30,16 @@ def find_decimal_mark(cells: Iterable[str | None], default: str | None) -> str |
     Returns None where nothing tells: numbers such as `1,234` alone with no default, or together
     with `5.678`. `.` where there is no mark at all.
     """
+    cells = [cell for cell in cells if cell]
+    whole = "\n".join(cells)
+    if "," not in whole and not _TWO_POINTS.search(whole):
+        return (
+            "."  # as nearly all files are: a look at each number would take as long as to read it
+        )
     told = {".": 0, ",": 0}
     doubtful = set()
     for cell in cells:
-        if not cell or ("." not in cell and "," not in cell):
+        if "." not in cell and "," not in cell:
             continue
         mark = _read_mark(cell)
         if mark in told:

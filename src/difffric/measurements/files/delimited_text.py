@@ -139,7 +139,8 @@ def arrange_rows(
     """Rows (line, cells), of which none is empty, as header, units and the rest; `remark`: what a
     comment above them says, which is the header where the first row holds numbers."""
     rows = [*rows]
-    has_header = not all(is_number_in_any_way(cell) for cell in rows[0][1])
+    top = [cell for cell in rows[0][1] if cell]
+    has_header = 2 * sum(map(is_number_in_any_way, top)) < len(top)
     if has_header:
         _, header = rows.pop(0)
     else:

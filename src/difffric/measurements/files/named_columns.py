@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from decimal import Decimal
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -95,9 +97,11 @@ def read_columns(
     values: dict[str, Any] = {}
     notes = [*text.notes, *_list_notes(matched)]
     grouped: list[str] = []
+    numeric = [i for i, h in matched.headings.items() if h.quantity.range is not None]
+    bare = _BareNumbers(text, numeric)
     for i, heading in matched.headings.items():
         q, cells = heading.quantity, [row[i] or None for row in text.rows]
-        plain = cells if q.range is None else _write_plain(cells, mark, grouped)
+        plain = cells if q.range is None else _write_plain(cells, mark, bare, grouped)
         read, bad = _read_cells(plain, cells, text.lines, q, doubt)
         values[q.attribute] = read
         wrong += bad
@@ -192,9 +196,15 @@ def _choose_mark(text: DelimitedText, matched: _Matched) -> tuple[str | None, st
     return mark, _COMMA if text.separator == "," and mark == "." else "one decimal mark throughout"
 
 
-def _write_plain(cells: list[str | None], mark: str | None, grouped: list[str]) -> list[str | None]:
-    """The cells with decimal points, as they are where they are no numbers; numbers that had
-    thousands marks are added to `grouped`."""
+def _write_plain(
+    cells: list[str | None], mark: str | None, bare: _BareNumbers, grouped: list[str]
+) -> list[str | None]:
+    """The cells with decimal points, None where they are no numbers; numbers that had thousands
+    marks are added to `grouped`.
+
+    A mark that may be one of thousands, as in `1,234` beside `30.5`, is none where the file has
+    thousands without: it is a slip then.
+    """
     out: list[str | None] = []
     other = "," if mark == "." else "."
     for cell in cells:
@@ -205,10 +215,25 @@ def _write_plain(cells: list[str | None], mark: str | None, grouped: list[str]) 
             out.append(None if {".", ","} & set(cell) else write_with_point(cell, "."))
             continue
         plain = write_with_point(cell, mark)
+        if plain is not None and cell.count(other) == 1 and mark not in cell and bare.have_large:
+            plain = None
         if plain is not None and other in cell:
             grouped.append(cell)
         out.append(plain)
     return out
+
+
+class _BareNumbers:
+    """Numbers of a file as they stand there: looked through when that is asked for."""
+
+    def __init__(self, text: DelimitedText, numeric: list[int]):
+        self._text, self._numeric = text, numeric
+
+    @cached_property
+    def have_large(self) -> bool:
+        """Whether one of them has four digits in a row before its decimal mark."""
+        cells = (row[i] for row in self._text.rows for i in self._numeric)
+        return any(re.match(r"[+-]?[1-9]\d{3}", cell) for cell in cells)
 
 
 def _describe_length(text: DelimitedText, line: int, n: int) -> str:

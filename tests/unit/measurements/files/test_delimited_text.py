@@ -176,3 +176,12 @@ def test_many_rows_are_read_as_each_is_alone(tmp_path):
     assert np.array_equal(found.values["force"], [float(f"{v:.4f}e3") for v in F])
     assert np.array_equal(found.values["position"], [float(f"{v:.5f}e-3") for v in x])
     assert found.lines[-1] == 3001 and found.problems == []
+
+
+def test_a_mark_of_thousands_is_a_slip_where_the_file_has_thousands_without(tmp_path):
+    found = read(tmp_path, 'time_s,force_N\n0.5,"2,000"\n0.6,"1,999"\n')
+    assert found.values["force"].tolist() == [2000.0, 1999.0] and found.problems == []
+    found = read(tmp_path, 'time_s,force_N\n0.5,2000\n0.6,"122,188"\n')
+    assert [line for line, _ in found.problems] == [3] and np.isnan(found.values["force"][1])
+    found = read(tmp_path, 'time_s,force_N\n0.5,2000\n0.6,"1,999.5"\n')
+    assert found.values["force"].tolist() == [2000.0, 1999.5]

@@ -1,0 +1,44 @@
+"""`difffric check`: what measured pushes hold, shown before anything is fitted."""
+
+from __future__ import annotations
+
+import difffric as df
+from difffric.commands import reports
+from difffric.commands.console import check_out, print_and_write, show_progress
+from difffric.commands.options import (
+    Channel,
+    Data,
+    DataMass,
+    Out,
+    Quiet,
+    SetupOption,
+    SkipBad,
+    TrustUnits,
+    load_data,
+    read_setup_for,
+)
+
+
+def check(
+    data: Data,
+    setup: SetupOption,
+    use_data_mass: DataMass = False,
+    skip_bad: SkipBad = False,
+    channel: Channel = None,
+    trust_units: TrustUnits = False,
+    out: Out = None,
+    quiet: Quiet = False,
+) -> None:
+    """Show what would be fitted: traces, landmarks, noise, what is missing, what can be told."""
+    check_out(out)
+    rig = read_setup_for(setup, channel)
+    with show_progress(quiet) as tell:
+        tell("reading", 0.0)
+        loaded = load_data(data, rig, skip_bad, trust_units)
+        found = reports.check.examine(loaded, rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
+        tell("what the data can tell", 0.3)
+        known = df.calibration.identifiable(rig, found.pushes)
+        tell("drawing", 0.9)
+        answer = reports.check.describe_check(found, known)
+        report = reports.check.report_check(found, known, rig, out is not None)
+    print_and_write(report, answer, out, timings=tell.timings, notes=loaded.notes)

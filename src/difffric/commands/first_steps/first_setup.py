@@ -1,0 +1,187 @@
+"""A first set-up: what is said of a rig, and k and b guessed from its own pushes."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+import difffric as df
+from difffric.commands.options import require_positive
+from difffric.errors import InputError
+from difffric.measurements.noise import Noise
+from difffric.measurements.pushes import Pushes
+from difffric.measurements.reduction.reduce import reduce_recordings
+from difffric.name_text import make_printable
+from difffric.rig.rig import spring_damper_rig
+from difffric.rig.setup_toml import parse_setup
+from difffric.simulation.columns import observe_columns
+from difffric.units import GRAVITY, MV, from_mm, to_mm, to_um
+
+_RATIO = 0.75
+"""mu_k / mu_s, unless a fit says otherwise: the paper's."""
+_PUSHES = 8
+"""Pushes that a guess looks at, evenly over the speeds: more do not make it better."""
+_STIFFNESS = np.geomspace(1e4, 1e8, 41)
+"""[N/m], in steps of a quarter"""
+_DAMPING = np.array([0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0])
+"""damping ratios b / (2 sqrt(k m))"""
+_FRICTION = np.array([0.05, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4, 0.56, 0.8])
+"""mu_s, where no recording tells it"""
+_WORST = 1.0
+"""Squared logarithm of a ratio that a distance which the model does not give counts as: it is the
+force that tells k and b, and distances near the edge of sticking tell little."""
+
+
+@dataclass(frozen=True)
+class FirstNumbers:
+    """What a person says of a rig; None: not said."""
+
+    mass_kg: float | None
+    stroke_mm: float | None
+    sensitivity_mV_per_N: float
+    range_N: float
+    resolution_um: float
+
+
+def write_first_setup(
+    data: Path, said: FirstNumbers, names: dict[str, str], skip_bad: bool
+) -> tuple[str, str]:
+    """(the text of a set-up for the pushes of a file, what was guessed, in words). `names`: what
+    the file calls a column or channel, by our name.
+
+    Raises `InputError` where the file cannot be used, or tells no mass, or no force.
+    """
+    loaded = df.load(data, skip_bad=skip_bad, channels=names)
+    mass = _ask_for_mass(loaded, said.mass_kg)
+    noise: dict[str, Noise | None] = {}
+    if isinstance(loaded, df.Recordings):
+        newtons = loaded.in_newtons(MV * said.sensitivity_mV_per_N)
+        reduction = reduce_recordings(newtons, skip_bad=skip_bad)
+        pushes, known = reduction.pushes, [x.deceleration for x in reduction.details]
+        noise = {k: getattr(reduction.details[0], f"noise_{k}") for k in ("force", "position")}
+    else:
+        pushes, known = loaded, []
+    if pushes.free_slides:
+        raise InputError(f"{data}: free slides tell neither k nor b: expected pushes")
+    stroke = None if said.stroke_mm is None else from_mm(said.stroke_mm)
+    if stroke is None and np.isfinite(pushes.stroke).all():
+        stroke = float(pushes.stroke[0])
+    mu_s, k, b = guess_contact(pushes, mass, stroke, known)
+    lines = {
+        "part": [("mass_kg", f"{mass:.6g}", "weigh it: every mu_s goes with it")],
+        "friction": [
+            ("mu_s", f"{mu_s:.3g}", "a guess from these pushes; a fit finds it per condition"),
+            ("mu_k_over_mu_s", f"{_RATIO}", "the usual ratio; a fit holds it unless told"),
+            ("k_v_N_s_per_m", "0.0", "viscous friction; a fit finds it"),
+        ],
+        "contact": [
+            ("k_N_per_m", f"{k:.2g}", "a guess from these pushes; a fit finds it"),
+            ("b_N_s_per_m", f"{b:.2g}", "likewise"),
+        ],
+        "pusher": []
+        if stroke is None
+        else [("stroke_mm", f"{to_mm(stroke):.6g}", "the tip's travel")],
+        "force_sensor": [
+            ("sensitivity_mV_per_N", f"{said.sensitivity_mV_per_N:.6g}", "from its data sheet"),
+            ("range_N", f"{said.range_N:.6g}", "likewise; a force that reaches it is saturated"),
+            *_write_noise("noise_N", noise.get("force"), 1.0),
+        ],
+        "probe": [
+            ("resolution_um", f"{said.resolution_um:.6g}", "from its data sheet"),
+            *_write_noise("noise_um", noise.get("position"), to_um(1.0)),
+        ],
+        "files": [
+            (key, json.dumps(name, ensure_ascii=False), "what the files call it")
+            for key, name in names.items()
+        ],
+    }
+    text = _format(lines, data)
+    parse_setup(text)
+    return text, f"mu_s about {mu_s:.2g}, k about {k:.2g} N/m, b about {b:.2g} N s/m"
+
+
+def guess_contact(
+    pushes: Pushes, mass: float, stroke: float | None, decelerations: list[float]
+) -> tuple[float, float, float]:
+    """(mu_s, k [N/m], b [N s/m]) that come nearest to the measured forces and distances, on a grid.
+
+    mu_s is that of the free slides' `decelerations` [m/s^2] where there are any, else it is on the
+    grid too.
+
+    Raises `InputError` where no force was measured.
+    """
+    known = np.flatnonzero(np.isfinite(pushes.peak_force))
+    if not len(known):
+        raise InputError(f"{pushes.source}: no force in it: expected pushes with a force".strip())
+    order = known[np.argsort(pushes.velocity[known], kind="stable")]
+    few = pushes.select(
+        order[np.unique(np.linspace(0, len(order) - 1, _PUSHES).round().astype(int))]
+    )
+    slowing = np.array(decelerations, float)
+    slowing = slowing[np.isfinite(slowing) & (slowing > 0)]
+    friction = np.array([np.median(slowing) / GRAVITY / _RATIO]) if len(slowing) else _FRICTION
+    mu, k, zeta = (x.ravel() for x in np.meshgrid(friction, _STIFFNESS, _DAMPING, indexing="ij"))
+    best = int(np.argmin(_measure_misfit(few, mass, stroke, mu, k, zeta)))
+    return float(mu[best]), float(k[best]), float(2 * zeta[best] * np.sqrt(k[best] * mass))
+
+
+def _measure_misfit(
+    few: Pushes, mass: float, stroke: float | None, mu: Any, k: Any, zeta: Any
+) -> NDArray:
+    """(n,) mean squared logarithm of model over measured, of n triples."""
+    n, total = len(mu), np.zeros(len(mu))
+    for i in range(len(few)):
+        rig = spring_damper_rig(
+            mass=mass, mu_s=mu, k=k, b=2 * zeta * np.sqrt(k * mass), stroke=stroke
+        )
+        seen = observe_columns(rig, np.full(n, few.velocity[i]))
+        with np.errstate(all="ignore"):
+            F = np.log(np.asarray(seen.peak_force) / few.peak_force[i]) ** 2
+            d = np.log(np.asarray(seen.sliding_distance) / few.sliding_distance[i]) ** 2
+        total += np.nan_to_num(F, nan=_WORST)
+        if np.isfinite(few.sliding_distance[i]):
+            total += 0.1 * np.minimum(np.nan_to_num(d, nan=_WORST), _WORST)
+    return total / len(few)
+
+
+def _ask_for_mass(data: Pushes | Any, given: float | None) -> float:
+    """The mass [kg] from the option, else from the data, else from who sits at the terminal.
+
+    Raises `InputError` where none of them says it.
+    """
+    if given is not None:
+        return given
+    said = data.mass if isinstance(data, Pushes) else np.array([push.mass for push in data])
+    if np.isfinite(said).all():
+        return float(np.median(said))
+    if sys.stdin.isatty():
+        answer = typer.prompt("mass of the part [kg]", type=float)
+        return require_positive("mass", answer) or 1.0
+    raise InputError("--mass-kg is missing: the data do not say the mass of the part")
+
+
+def _write_noise(key: str, noise: Noise | None, scale: float) -> list[tuple[str, str, str]]:
+    if noise is None or not noise.level > 0:
+        return []
+    return [(key, f"{scale * noise.level:.3g}", "measured in the quiet time of these pushes")]
+
+
+def _format(tables: dict[str, list[tuple[str, str, str]]], data: Path) -> str:
+    """The set-up's text, a comment beside each number."""
+    out = [
+        f"# A first set-up for {make_printable(data.name)}, by difffric init:",
+        "# numbers to start a fit from.",
+        "# What each means and what else may stand here: docs/formats.md.",
+    ]
+    for name, entries in tables.items():
+        if entries:
+            rows = [f"{f'{key} = {value}':<29} # {words}" for key, value, words in entries]
+            out += ["", f"[{name}]", *rows]
+    return "\n".join(out) + "\n"
