@@ -144,10 +144,12 @@ class NoiseProblem:
         logdet += float(np.log1p(tau2 * along).sum())
         normal -= (crossed * shrink[:, None]).T @ crossed
         A, b, yy = normal[:-1, :-1], normal[:-1, -1], normal[-1, -1]
-        scale = 1 / np.sqrt(np.maximum(np.diag(A), 1e-300))
-        values, vectors = np.linalg.eigh(scale[:, None] * A * scale)
-        if not np.isfinite(values).all():
+        size = np.diag(A)
+        if not np.isfinite(size).all():
             raise np.linalg.LinAlgError("columns are not finite")
+        # A column that vanishes gets a variance without bounds, and no overflow.
+        scale = 1 / np.sqrt(np.maximum(size, max(1e-60 * size.max(initial=0.0), 1e-200)))
+        values, vectors = np.linalg.eigh(scale[:, None] * A * scale)
         values = np.maximum(values, 1e-13)
         root = scale[:, None] * vectors / np.sqrt(values)
         covariance = root @ root.T
