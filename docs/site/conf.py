@@ -23,6 +23,7 @@ include_patterns = [
     "docs/decisions/*.md",
     "docs/site/reference.rst",
     "examples/*.md",
+    "examples/pneumatic_cylinder/*.md",
     "fpga/*.md",
     "fpga/emulator/*.md",
     "notebooks/*.ipynb",
@@ -34,11 +35,17 @@ FUNCTION = re.compile(r"<(m[io])>(max|min|sin|cos|tan|arcsin|ln|exp)</\1>(?=(<mo
 """A function's name in a formula, and whether a bracket follows."""
 
 CONTENTS = {
-    "Start": ["docs/new_setup", "docs/error_bars", "examples/README"],
+    "Start": [
+        "docs/new_setup",
+        "docs/error_bars",
+        "examples/README",
+        "examples/pneumatic_cylinder/README",
+    ],
     "How to": [
         "docs/reduction",
         "docs/acquire",
         "docs/diagnose",
+        "docs/axis",
         "docs/plan",
         "docs/ring",
         "docs/monitor",

@@ -3,13 +3,15 @@
 What most work needs stands here: a rig (`Rig`, `spring_damper_rig`, `load_setup`), a push of it
 (`simulate`, `observe`, `sensitivity`), measured pushes (`load`, `Pushes`, `Recordings`), and what
 they tell (`fit`, `identify`, `diagnose`, `next_push`, `Monitor`, `plan`, `centre`,
-`identify_fleet`, `diagnose_fleet`). What goes further stands in the packages, each of which tells
+`identify_fleet`, `diagnose_fleet`). The set-up and the recording of an axis go into the same names
+(`dispatch`). What goes further stands in the packages, each of which tells
 in its docstring what it has and which of it to choose:
 
 - `rig`: the laws of friction and contact, the catalogue of effects, the set-up's file
 - `simulation`: a push by equation (2), its F_p and d, and their exact derivatives
 - `measurements`: pushes and recordings, and F_p and d from samples without a model
 - `acquisition`: pushes recorded by the card
+- `axis`: an axis driven by a recorded force, its friction and mass
 - `calibration`: the rig's parameters from pushes, with their errors
 - `identification`: mu_s of each push; as a controller's C, too
 - `diagnosis`: what the simulation lacks

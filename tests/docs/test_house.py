@@ -22,6 +22,7 @@ BREAKS = {
     "Packages import down only": ("rig/contact.py", "import difffric.commands.main"),
     "No circles inside a package": ("rig/contact.py", "import difffric.rig.rig"),
     "The recorder knows no physics": ("acquisition/recorder.py", "import difffric.rig.friction"),
+    "An axis knows no push tip and no JAX": ("axis/setup.py", "import difffric.rig.rig"),
     "Physics reads no files": ("simulation/observables.py", "import difffric.rig.setup_toml"),
     "The figures' style imports nothing of ours": (
         "commands/figures/style.py",

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 import difffric as df
+from difffric.axis.files.file_kind import is_axis_file
 from difffric.commands import reports
 from difffric.commands.console import check_out, check_setup_stays, print_and_write, show_progress
 from difffric.commands.fleet_options import (
@@ -58,6 +59,10 @@ def diagnose(
         options = {"matters": matters, "held_out": held_out, "use_data_mass": use_data_mass}
         return _diagnose_fleet(data, setup, workers, scheduler, out, quiet, options)
     file = check_setup(setup, data)
+    if is_axis_file(file):
+        from difffric.commands.axis import run  # pushes need none of it
+
+        return run.run_diagnose(data, file, matters, skip_bad, out, quiet)
     check_setup_stays(out, file)
     rig = read_setup_for(file, channel)
     loaded = load_data(data, rig, skip_bad, trust_units)

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 import difffric as df
+from difffric.axis.files.file_kind import is_axis_file
 from difffric.commands import reports
 from difffric.commands.console import check_out, check_setup_stays, print_and_write, show_progress
 from difffric.commands.options import (
@@ -61,6 +62,20 @@ def fit(
 ) -> None:
     """Calibrate on the data and report parameters, errors and what stays open."""
     check_out(out)
+    if is_axis_file(setup):
+        from difffric.commands.axis import run  # pushes need none of it
+
+        for option, given in (
+            ("--per-condition", per_condition),
+            ("--prior", prior),
+            ("--free-start", free_start),
+            ("--robust", robust),
+            ("--profile", profile),
+            ("--next-push", next_push),
+        ):
+            if given:
+                raise InputError(f"{option}: of pushes only, {setup} is the set-up of an axis")
+        return run.run_fit(data, setup, free or None, skip_bad, out, quiet)
     check_setup_stays(out, setup)
     rig = read_setup_for(setup, channel)
     loaded = load_data(data, rig, skip_bad, trust_units)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import difffric as df
+from difffric.axis.files.file_kind import is_axis_file
 from difffric.commands import reports
 from difffric.commands.console import check_out, print_and_write, show_progress
 from difffric.commands.fleet_options import (
@@ -44,7 +45,12 @@ def identify(
     check_out(out)
     if is_fleet(data, workers, scheduler):
         return _identify_fleet(data, setup, use_data_mass, workers, scheduler, out, quiet)
-    rig = read_setup_for(check_setup(setup, data), channel)
+    file = check_setup(setup, data)
+    if is_axis_file(file):
+        from difffric.commands.axis import run  # pushes need none of it
+
+        return run.run_identify(data, file, skip_bad, out, quiet)
+    rig = read_setup_for(file, channel)
     loaded = load_data(data, rig, skip_bad, trust_units)
     with show_progress(quiet) as tell:
         found = df.identify(rig, loaded, use_data_mass=use_data_mass, skip_bad=skip_bad, tell=tell)

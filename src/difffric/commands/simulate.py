@@ -2,27 +2,41 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from difffric.axis.files.file_kind import is_axis_file
 from difffric.commands import reports
 from difffric.commands.console import check_out, print_and_write, show_progress
 from difffric.commands.options import Out, Quiet, Setup, load_rig, require_positive
+from difffric.errors import InputError
 from difffric.units import from_mm_min
 
 
 def simulate(
     setup: Setup,
-    velocity_mm_min: Annotated[float, typer.Option(help="pusher speed [mm/min]")],
+    velocity_mm_min: Annotated[
+        float | None, typer.Option(help="pusher speed [mm/min]", show_default=False)
+    ] = None,
     mu_s: Annotated[float | None, typer.Option(help="instead of the set-up's")] = None,
     mass_kg: Annotated[float | None, typer.Option(help="instead of the set-up's")] = None,
     stroke_mm: Annotated[float | None, typer.Option(help="instead of the set-up's")] = None,
+    motion: Annotated[
+        Path | None, typer.Option(help="of an axis: the forces that drive it, .csv or .tdms")
+    ] = None,
     out: Out = None,
     quiet: Quiet = False,
 ) -> None:
     """Simulate one push and report F_p, d, regime and their derivatives."""
     check_out(out)
+    if is_axis_file(setup):
+        from difffric.commands.axis import run  # pushes need none of it
+
+        return run.run_simulate(setup, motion, out, quiet)
+    if velocity_mm_min is None:
+        raise InputError("--velocity-mm-min is missing: expected the pusher's speed in mm/min")
     rig = load_rig(setup, mu_s, mass_kg, stroke_mm)
     require_positive("--velocity-mm-min", velocity_mm_min)
     with show_progress(quiet) as tell:

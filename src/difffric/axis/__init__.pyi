@@ -1,0 +1,14 @@
+from .diagnosis.procedure import diagnose_axis as diagnose_axis
+from .effects import EFFECTS as EFFECTS
+from .files.load_recording import load_axis as load_axis
+from .files.setup_file import format_axis as format_axis
+from .files.setup_file import parse_axis as parse_axis
+from .files.setup_file import read_axis as read_axis
+from .fit import fit_axis as fit_axis
+from .friction_levels import identify_axis as identify_axis
+from .motion.simulate import simulate_axis as simulate_axis
+from .motion.trajectory import AxisTrajectory as AxisTrajectory
+from .recordings import AxisRecordings as AxisRecordings
+from .recordings import AxisStretch as AxisStretch
+from .result import AxisFit as AxisFit
+from .setup import AxisSetup as AxisSetup

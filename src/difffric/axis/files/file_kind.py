@@ -1,0 +1,54 @@
+"""Whether a file is one of an axis: looked at in passing, so nothing is imported for it."""
+
+from __future__ import annotations
+
+import os
+import re
+import tomllib
+from pathlib import Path
+
+TEXTS = (".csv", ".txt", ".tsv", ".dat")
+"""Suffixes of recordings that are text."""
+
+
+def is_axis_file(path: str | os.PathLike) -> bool:
+    """Whether a file is the set-up of an axis; False for what cannot be read, which the reader of
+    other set-ups will say."""
+    try:
+        return "axis" in tomllib.loads(Path(path).read_bytes().decode("utf-8-sig"))
+    except (OSError, ValueError, RecursionError):
+        return False
+
+
+def is_axis_recording(path: str | os.PathLike) -> bool:
+    """Whether a text has a column of times and one of positions, as only recordings of an axis
+    have; False for what cannot be read."""
+    if Path(path).suffix.lower() not in TEXTS:
+        return False
+    try:
+        with open(path, "rb") as file:
+            head = file.read(4096).decode("utf-8", "replace").lower()
+    except OSError:
+        return False
+    lines = [x for x in head.splitlines() if x.strip() and not x.startswith(("#", "%", "sep="))]
+    names = [x.strip(' "\ufeff') for x in re.split(r"[,;\t|]", lines[0])] if lines else []
+    has_time = any(re.match(r"(time|t)\b|time_", x) for x in names)
+    return has_time and any(x.startswith(("position", "x_", "x ")) or x == "x" for x in names)
+
+
+def lacks_speeds(path: str | os.PathLike) -> bool:
+    """Whether a `.tdms` has groups with a force and a position of which none says the speed of a
+    push: the recording of an axis; False for what cannot be read."""
+    if Path(path).suffix.lower() != ".tdms":
+        return False
+    import nptdms  # here, as texts need none
+
+    try:
+        groups = nptdms.TdmsFile.read_metadata(str(path)).groups()
+    except Exception:  # npTDMS raises all sorts for a damaged file, of which its reader tells
+        return False
+    names = [{x.name.strip().lower() for x in group.channels()} for group in groups]
+    return bool(groups) and all(
+        {"force", "position"} <= own and "velocity_mm_min" not in group.properties
+        for own, group in zip(names, groups, strict=True)
+    )

@@ -1,0 +1,160 @@
+"""Files of an axis: what they say is read, and what is wrong with them is one clear line."""
+
+import numpy as np
+import pytest
+from nptdms import ChannelObject, GroupObject, RootObject, TdmsWriter
+
+import difffric as df
+from difffric.axis import format_axis, load_axis, parse_axis
+from difffric.axis.recordings import AxisRecordings, AxisStretch, check_recordings
+from difffric.errors import InputError
+from tests.reference.axis import Axis, record, write_csv
+
+SETUP = """\
+[axis]                        # a linear axis
+mass_kg = 95.0
+
+[friction]
+coulomb_N = { value = 20.0, standard_error = 0.1, free = true }
+breakaway_N = 24.0
+k_v_N_s_per_m = 200.0
+scatter = 0.01
+
+[drive]
+gain_N_per_V = 35.15
+offset_N = -3.0
+
+[probe]
+noise_um = 1.0
+
+[effects.cogging]
+amplitude_N = 0.3
+period_m = 0.012
+"""
+
+
+@pytest.fixture(scope="module")
+def made():
+    return record(Axis(), speeds=(0.2, 0.3), travel=0.02)
+
+
+def test_a_set_up_says_what_it_says():
+    axis = parse_axis(SETUP)
+    assert (axis.mass, axis.breakaway, axis.gain, axis.noise) == (95.0, 24.0, 35.15, 1e-6)
+    assert axis.extras["coulomb_N"].standard_error == 0.1
+    assert axis.values["cogging.period_m"] == 0.012
+
+
+def test_a_set_up_comes_back_with_its_comments():
+    axis = parse_axis(SETUP)
+    text = format_axis(axis)
+    assert parse_axis(text) == axis
+    assert "# a linear axis" in text
+
+
+def test_all_that_is_wrong_with_a_set_up_is_named_at_once():
+    wrong = "[axis]\nmas_kg = 1\n[friction]\ncoulomb_N = -1\n[part]\nmass_kg = 2\n"
+    wrong += "[effects.coging]\namplitude_N = 1\n"
+    with pytest.raises(InputError) as found:
+        parse_axis(wrong, "s.toml")
+    lines = str(found.value).split("\n")
+    assert len(lines) == 5
+    for words in ("did you mean mass_kg?", "mass_kg: missing", "coulomb_N: expected a number > 0",
+                  "[part]: an axis has none", "did you mean cogging?"):  # fmt: skip
+        assert any(words in line for line in lines)
+
+
+@pytest.mark.parametrize("european", [False, True])
+def test_a_text_is_read_whatever_its_separator_and_decimal_mark(tmp_path, made, european):
+    path = tmp_path / "a.csv"
+    write_csv(path, made, volts_per_newton=0.1, european=european)
+    data = load_axis(path)
+    assert (data.unit, len(data), data.samples) == ("V", 2, len(made.t))
+    force = np.concatenate([x.force for x in data.stretches])
+    position = np.concatenate([x.position for x in data.stretches])
+    assert np.allclose(force, 0.1 * made.force, rtol=1e-6, atol=1e-6)
+    assert np.allclose(position, made.measured, rtol=0, atol=1e-10)
+    assert type(df.load(path)) is AxisRecordings
+
+
+def test_a_tdms_has_a_group_for_each_stretch(tmp_path, made):
+    path = tmp_path / "a.tdms"
+    with TdmsWriter(path) as file:
+        for k in (0, 1):
+            own = made.stretch == k
+            says = {"wf_increment": 1e-3, "wf_start_offset": float(made.t[own][0])}
+            file.write_segment([
+                RootObject(), GroupObject(f"s{k}"),
+                ChannelObject(f"s{k}", "force", made.force[own], says | {"unit_string": "N"}),
+                ChannelObject(
+                    f"s{k}", "position", 1e6 * made.measured[own], says | {"unit_string": "um"}
+                ),
+            ])  # fmt: skip
+    for data in (load_axis(path), df.load(path)):
+        assert [x.name for x in data.stretches] == ["s0", "s1"]
+        assert np.allclose(data.stretches[1].position, made.measured[made.stretch == 1])
+        assert np.allclose(data.stretches[1].time, made.t[made.stretch == 1])
+
+
+def test_a_matlab_file_is_refused_with_the_line_that_converts_it(tmp_path):
+    path = tmp_path / "EMPS.mat"
+    path.write_bytes(b"MATLAB 5.0 MAT-file")
+    with pytest.raises(InputError, match=r"writetable\(T, 'EMPS.csv'\)"):
+        load_axis(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("time_s,force_N\n0,1\n", "position_mm is missing"),
+        ("time_s,position_mm\n0,1\n", "force_N or drive_V is missing"),
+        ("time_s,force_N,position_mm\n0,,1\n", "line 2: empty where a number is needed"),
+        ("time_s,force_N,position_mm\n", "no rows"),
+    ],
+)
+def test_what_a_text_lacks_is_named(tmp_path, text, words):
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=words):
+        load_axis(path)
+
+
+def stretch(t, force, x):
+    return AxisRecordings([AxisStretch("1", np.asarray(t), np.asarray(force), np.asarray(x))])
+
+
+T = np.arange(4000) * 1e-3
+WAVE = 10 * np.sin(T)
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (stretch(T[::-1], WAVE, WAVE), "time_s does not grow"),
+        (stretch(T, WAVE, 0 * T), "the position never changes"),
+        (stretch(T, 0 * T, WAVE), "motion without a force"),
+        (stretch(T[:9], WAVE[:9], WAVE[:9]), "expected a stretch of"),
+        (stretch(T, WAVE * np.nan, WAVE), "expected finite numbers"),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused(data, words):
+    with pytest.raises(InputError, match=words):
+        check_recordings(data)
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (stretch(np.where(T > 2, T + 1, T), WAVE, WAVE), "1 gaps in time"),
+        (stretch(T, np.clip(WAVE, -5, 5), WAVE), "a saturated drive?"),
+        (stretch(T, WAVE, (0.9 * T) % 1.0), "an encoder that wraps?"),
+    ],
+)
+def test_what_is_odd_is_told(data, words):
+    assert any(words in note for note in check_recordings(data).notes)
+
+
+def test_a_drive_in_volts_needs_its_gain(made):
+    data = AxisRecordings([AxisStretch("1", made.t, made.force, made.measured)], unit="V")
+    with pytest.raises(InputError, match="gain_N_per_V"):
+        df.fit(parse_axis("[axis]\nmass_kg = 1\n[friction]\ncoulomb_N = 1\n"), data)
