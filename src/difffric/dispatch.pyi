@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 from difffric.axis.diagnosis.verdict import AxisDiagnosis
 from difffric.axis.motion.trajectory import AxisTrajectory
 from difffric.axis.recordings import AxisRecordings
-from difffric.axis.result import AxisFit, FrictionLevel
+from difffric.axis.result import AxisFit, AxisLevels
 from difffric.axis.setup import AxisSetup
 from difffric.calibration.result import Fit
 from difffric.diagnosis.verdict import Diagnosis
@@ -30,9 +30,7 @@ def fit(
 @overload
 def fit(rig: Rig | Setup, data: Pushes | Recordings, **options: Any) -> Fit: ...
 @overload
-def identify(
-    rig: AxisSetup | AxisFit, data: AxisRecordings, *, tell: Tell = ...
-) -> tuple[FrictionLevel, ...]: ...
+def identify(rig: AxisSetup | AxisFit, data: AxisRecordings, *, tell: Tell = ...) -> AxisLevels: ...
 @overload
 def identify(rig: Rig | Setup | Fit, data: Pushes | Recordings, **options: Any) -> Identified: ...
 @overload

@@ -11,7 +11,7 @@ from difffric.axis.noise_model import NoiseProblem
 from difffric.axis.one_thread import hold_one_thread
 from difffric.axis.preparation import PreparedRecording, keep_sliding, prepare_recording
 from difffric.axis.recordings import AxisRecordings
-from difffric.axis.result import AxisFit, FrictionLevel
+from difffric.axis.result import AxisFit, AxisLevels, FrictionLevel
 from difffric.axis.search import SearchEnd, find_start, pose_step
 from difffric.axis.setup import COULOMB, MASS, VISCOUS, AxisSetup
 from difffric.progress import Tell, silent
@@ -31,7 +31,7 @@ def find_levels(ready: PreparedRecording, end: SearchEnd) -> tuple[FrictionLevel
 
 def identify_axis(
     setup: AxisSetup | AxisFit, data: AxisRecordings, *, tell: Tell = silent
-) -> tuple[FrictionLevel, ...]:
+) -> AxisLevels:
     """Return the Coulomb friction of each stretch, by the set-up's other numbers, whose standard
     errors are counted in.
 
@@ -52,7 +52,7 @@ def identify_axis(
         said.pop("breakaway_N", None)
         known = {name: i for i, name in enumerate(said)}
         covariance = np.diag([x**2 for x in said.values()]) if said else np.zeros((0, 0))
-        return _estimate(ready, setup.values, imposed, known, covariance, None)
+        return AxisLevels(_estimate(ready, setup.values, imposed, known, covariance, None))
 
 
 def _estimate(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,45 @@ class FrictionLevel:
             "coulomb_N": answer,
             "reason": self.reason,
         }
+
+
+@dataclass(frozen=True)
+class AxisLevels(Sequence[FrictionLevel]):
+    """The friction level of each stretch, in their order; prints itself, gives arrays."""
+
+    levels: tuple[FrictionLevel, ...]
+
+    def __len__(self) -> int:
+        return len(self.levels)
+
+    @overload
+    def __getitem__(self, index: int) -> FrictionLevel: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[FrictionLevel, ...]: ...
+    def __getitem__(self, index):
+        return self.levels[index]
+
+    @property
+    def coulomb(self) -> NDArray:
+        """(n,) Coulomb friction [N]; NaN where a stretch does not say."""
+        return np.array([x.coulomb for x in self.levels], float)
+
+    @property
+    def standard_error(self) -> NDArray:
+        """(n,) of it [N]."""
+        return np.array([x.standard_error for x in self.levels], float)
+
+    def as_dict(self) -> dict:
+        """Return what `result.json` holds of it."""
+        return {"stretches": [x.as_dict() for x in self.levels]}
+
+    def __str__(self) -> str:
+        rows = []
+        for x in self.levels:
+            value, error = format_pair(x.coulomb, x.standard_error)
+            said = x.reason or f"{value} ± {error} N"
+            rows.append(f"{x.stretch}: {said}")
+        return "\n".join(rows)
 
 
 @dataclass(frozen=True)

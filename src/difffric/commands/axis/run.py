@@ -43,7 +43,7 @@ def run_identify(data: Path, setup: Path, skip_bad: bool, out: Path | None, quie
     axis, loaded = read_axis(setup), load_axis(data, skip_bad=skip_bad)
     with show_progress(quiet) as tell:
         levels = identify_axis(axis, loaded, tell=tell)
-    answer = {"kind": "axis", "stretches": [x.as_dict() for x in levels]}
+    answer = {"kind": "axis", **levels.as_dict()}
     page = report.report_levels(axis, levels, pictures=out is not None)
     print_and_write(page, answer, out, timings=tell.timings)
 
