@@ -49,8 +49,11 @@ def _join(name: str) -> Callable[..., Any]:
     def choose(*given: Any, **options: Any) -> Any:
         if name == "load":
             return _load(of_pushes, *given, **options)
+        data = given[1] if len(given) > 1 else options.get("data")
         if given and _is_axis(name, given[0]):
+            _refuse_pushes(name, data)
             return _get_of_axis(name)(*given, **options)
+        _refuse_axis(name, data)
         return of_pushes(*given, **options)
 
     choose.__doc__ = (
@@ -71,6 +74,28 @@ def _is_axis(name: str, first: Any) -> bool:
 
         return is_axis_file(first)
     return type(first).__module__.startswith("difffric.axis")
+
+
+def _refuse_pushes(name: str, data: Any) -> None:
+    """Refuse pushes beside an axis."""
+    if type(data).__module__.startswith("difffric.measurements"):
+        from difffric.errors import InputError
+
+        raise InputError(
+            f"{name}: pushes beside the set-up of an axis: expected a recording of an axis (time, "
+            "force and position), or a set-up with [part] and [contact]"
+        )
+
+
+def _refuse_axis(name: str, data: Any) -> None:
+    """Refuse the recording of an axis beside a rig that has none."""
+    if type(data).__module__.startswith("difffric.axis"):
+        from difffric.errors import InputError
+
+        raise InputError(
+            f"{name}: a recording of an axis (force and position over time, no speed of a push) "
+            "beside a rig with a push tip: expected a set-up with [axis], or pushes"
+        )
 
 
 def _load(of_pushes: Callable[..., Any], path: Any, **options: Any) -> Any:

@@ -81,10 +81,11 @@ def load_data(
     Raises `InputError` where they cannot be used, or are plainly in other units than they say,
     unless `trust_units`.
     """
-    # Not at the top: help needs no check.
+    # Not at the top: help needs no check. The set-up says that these are pushes, and no axis.
+    from difffric.measurements.load_file import load
     from difffric.measurements.unit_checks import refuse_wrong_units
 
-    loaded = df.load(data, skip_bad=skip_bad, channels=setup.channels)
+    loaded = load(data, skip_bad=skip_bad, channels=setup.channels)
     if trust_units:
         return loaded
     return replace(loaded, notes=(*loaded.notes, *refuse_wrong_units(loaded, setup.rig)))

@@ -1,5 +1,7 @@
 """Files of an axis: what they say is read, and what is wrong with them is one clear line."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from nptdms import ChannelObject, GroupObject, RootObject, TdmsWriter
@@ -10,6 +12,7 @@ from difffric.axis.recordings import AxisRecordings, AxisStretch, check_recordin
 from difffric.errors import InputError
 from tests.reference.axis import Axis, record, write_csv
 
+EXAMPLES = Path(__file__).parents[3] / "examples"
 SETUP = """\
 [axis]                        # a linear axis
 mass_kg = 95.0
@@ -158,3 +161,14 @@ def test_a_drive_in_volts_needs_its_gain(made):
     data = AxisRecordings([AxisStretch("1", made.t, made.force, made.measured)], unit="V")
     with pytest.raises(InputError, match="gain_N_per_V"):
         df.fit(parse_axis("[axis]\nmass_kg = 1\n[friction]\ncoulomb_N = 1\n"), data)
+
+
+def test_an_axis_and_a_push_are_not_mixed_up(made, tmp_path):
+    path = tmp_path / "recording.csv"
+    write_csv(path, made)
+    pushes = df.load(EXAMPLES / "pushes.csv")
+    rig = df.load_setup(EXAMPLES / "setup.toml")
+    with pytest.raises(InputError, match=r"expected a set-up with \[axis\]"):
+        df.fit(rig, df.load(path))
+    with pytest.raises(InputError, match="expected a recording of an axis"):
+        df.fit(parse_axis(SETUP), pushes)

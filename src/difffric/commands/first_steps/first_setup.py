@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 import difffric as df
 from difffric.commands.options import require_positive
 from difffric.errors import InputError
+from difffric.measurements.load_file import load
 from difffric.measurements.noise import Noise
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.reduction.reduce import reduce_recordings
@@ -58,7 +59,7 @@ def write_first_setup(
 
     Raises `InputError` where the file cannot be used, or tells no mass, or no force.
     """
-    loaded = df.load(data, skip_bad=skip_bad, channels=names)
+    loaded = load(data, skip_bad=skip_bad, channels=names)
     mass = _ask_for_mass(loaded, said.mass_kg)
     noise: dict[str, Noise | None] = {}
     if isinstance(loaded, df.Recordings):
