@@ -88,6 +88,8 @@ Made data: the truth is known, and a fit can be held against it.
 | `ring.csv` | 360 probe readings of a ring over a rotation: 4 missing, 9 outliers |
 | `watched.csv` | 60 pushes of the DRY part in a row, whose friction rises by 6 % on the way |
 | `hidden/` | 10 recordings of a rig whose friction falls with speed, its rough set-up, its truth |
+| `axis/` | a recording of a servo axis whose drive cogs, its rough set-up, its truth |
+| `pneumatic_cylinder/` | a measured piston (CC0): friction under an imposed motion |
 | `truth.json` | what they were made with: the rig, each push's own `mu_s`, its `F_p` and `d` |
 
 ```sh
