@@ -239,6 +239,6 @@ def _doubt_units(setup: AxisSetup, values: Mapping[str, float]) -> list[str]:
     if ratio > 1:
         guess = "position in m that is called mm, or in mm that is called µm"
     return [
-        f"the fitted mass is {ratio:.3g} times the set-up's: is a unit wrong ({guess}; or the "
-        "drive's gain)?"
+        f"the fitted mass is {ratio:.3g} times the set-up's: a unit may be wrong ({guess}), or the "
+        "drive's gain"
     ]
