@@ -72,8 +72,6 @@ _ARRIVED = 1.1
 """Squares per number up to which a fit with all small effects leaves noise."""
 _LIKE_FRICTION = "normal_force"
 """The effect that is one with mu_s where every push has the same mass."""
-_OF_LEVEL = frozenset({"friction_drift", "static_dwell"})
-"""Effects that change mu_s from push to push."""
 _ROUNDS_WITHOUT = 6
 """The same of a refit that leaves a cause out again, which begins near its end."""
 
@@ -384,7 +382,12 @@ class _CauseSearch(CauseRounds):
         c = base.c.copy()
         c[0, gone] = self.plain.c[0, gone]
         extra = tuple(i for i in base.extra[0] if i not in gone)
-        less = replace(base, c=c, extra=(extra,), gram=None, damping=None)
-        if not _OF_LEVEL.isdisjoint(effects):  # the pushes' own mu_s take that up again
-            less = replace(less, mu=self.plain.mu, own=self.plain.own)
-        return ensemble_refits.refit(task, less, _ROUNDS_WITHOUT)
+        less = replace(base, c=c, extra=(extra,), gram=None, residual=None, damping=None)
+        # Without a strong effect the plain parameters are elsewhere: where they were before.
+        there = c.copy()
+        shared = list(task.shared)
+        there[0, shared] = self.plain.c[0, shared]
+        before = replace(less, c=there, mu=self.plain.mu, own=self.plain.own)
+        both = ensemble.join(less, before)
+        nearer = int(np.argmin(ensemble.criterion(task, ensemble.evaluate(task, both))))
+        return ensemble_refits.refit(task, both.pick(nearer), _ROUNDS_WITHOUT)
