@@ -29,6 +29,8 @@ _SELDOM = float(np.log(3.0))
 """Log odds against something outside the catalogue."""
 _ODDS = float(np.log(20.0))
 """Log odds by which a curve must explain the data better than causes, or nothing, do."""
+_MANY, _HALF = 3, 0.5
+"""From how many causes on one may doubt that they are any, and the share of what they explain."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,8 @@ class CurveComparison:
     """of each free form alone"""
     both: dict[str, float]
     """of each beside the causes"""
+    count: int = 0
+    """how many causes there are"""
 
     @property
     def best(self) -> str:
@@ -50,9 +54,16 @@ class CurveComparison:
     @property
     def is_outside(self) -> bool:
         """Whether a curve explains the data better than the causes, which add nothing to it, and
-        than nothing at all, by odds that leave no doubt: a smooth cause is a smooth curve, too."""
-        alone = self.curves[self.best]
-        return alone > max(self.causes, *self.both.values(), 0.0) + _ODDS
+        than nothing at all, by odds that leave no doubt: a smooth cause is a smooth curve, too.
+
+        Of many causes it is enough that a curve explains half of what they do, and is needed beside
+        them: they then imitate what none of them is.
+        """
+        alone, beside = self.curves[self.best], max(self.both.values(), default=0.0)
+        imitated = self.count >= _MANY and alone > _HALF * self.causes
+        if imitated and beside > self.causes + _ODDS:
+            return True
+        return alone > max(self.causes, beside, 0.0) + _ODDS
 
 
 def compare_with_curves(
@@ -77,6 +88,7 @@ def compare_with_curves(
     causes = score_set(evidence, items)
     return CurveComparison(
         causes=causes,
+        count=len(items),
         curves={form: x - price for form, x in zip(FORMS, alone[1:], strict=True)},
         both={
             form: causes + x - beside[0] - price
