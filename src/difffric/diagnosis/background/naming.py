@@ -124,8 +124,9 @@ def _put(
 def fit_causes(
     task: EnsembleTask, plain: Fits, search: BackgroundSearch, items: Sequence[PossibleCause]
 ) -> Fits:
-    """Return the best fit with these causes and no background, begun from the plain fit and from
-    the joint one (all ensembles of one)."""
+    """Return the best fit with these causes and no background, begun from the joint fit, and from
+    the plain one with the causes as that has them and as the comparison does (all ensembles of
+    one)."""
     if not items:
         return plain
     index = task.model.coordinates.indices([n for x in items for n in numbers_of(x.effect)])
@@ -135,8 +136,14 @@ def fit_causes(
     extra = ((*plain.extra[0], *(i for i in index if i not in plain.extra[0])),)
     there = plain.c.copy()
     there[0, index] = at[0, index]
+    linear, columns = plain.c.copy(), [c for item in items for c in item.columns]
+    sizes = search.evidence.compare([columns]).best_size(0).tolist()
+    for item in items:
+        _put(linear, task, search, item, sizes[: len(item.columns)])
+        sizes = sizes[len(item.columns) :]
     bare = {"extra": extra, "gram": None, "residual": None, "damping": None}
-    starts = [replace(search.joint, c=at, **bare), replace(plain, c=there, **bare)]
+    starts = [replace(search.joint, c=at, **bare)]
+    starts += [replace(plain, c=c, **bare) for c in (there, linear)]
     fits = ensemble_refits.refit(task, ensemble.join(*starts), _ROUNDS)
     return fits.pick(int(np.argmin(ensemble.criterion(task, fits))))
 

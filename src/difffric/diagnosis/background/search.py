@@ -211,6 +211,13 @@ class _JointSearch:
     ) -> None:
         """Fit anew with a set of causes at any size."""
         start = _place(self.data.task, self.joint, items, sizes)
+        first = 0
+        for item in items:
+            if item.shape is None:  # where it is now is where its smallness held it
+                (column,) = item.columns
+                i = self.small.index[column]
+                start.c[0, i] = self.small.null[i] + sizes[first]
+            first += len(item.columns)
         new = (x.effect for x in items if x.shape is not None and not x.shape.placed)
         task = free_causes(self.data.task, self.small, evidence, items)
         self.joint = ensemble_refits.refit(task, start, _ROUNDS)
