@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import importlib
+import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -56,9 +57,8 @@ def _join(name: str) -> Callable[..., Any]:
         _refuse_axis(name, data)
         return of_pushes(*given, **options)
 
-    choose.__doc__ = (
-        f"{of_pushes.__doc__}\n\nOf an axis: `difffric.{_OF_AXIS[name]}`, with its own options."
-    )
+    said = inspect.cleandoc(of_pushes.__doc__ or name)
+    choose.__doc__ = f"{said}\n\nOf an axis: `difffric.{_OF_AXIS[name]}`, with its own options."
     return choose
 
 

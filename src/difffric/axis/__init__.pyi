@@ -1,5 +1,4 @@
 from .diagnosis.procedure import diagnose_axis as diagnose_axis
-from .effects import EFFECTS as EFFECTS
 from .files.load_recording import load_axis as load_axis
 from .files.setup_file import format_axis as format_axis
 from .files.setup_file import parse_axis as parse_axis

@@ -27,8 +27,8 @@ class AxisExtras:
 class AxisSetup:
     """An axis as a set-up's file says it, SI units.
 
-    m x'' = force + offset - friction, friction = (coulomb + k_v |u|) sign(u) while it moves, up to
-    breakaway while it sticks.
+    m x'' = force + offset - friction, friction = (coulomb + k_v abs(u)) sign(u) while it moves,
+    up to breakaway while it sticks.
     """
 
     mass: float

@@ -38,7 +38,7 @@ class Setup:
     text: str = field(default="", compare=False, repr=False)
     """of the file that it was read from: a new file keeps its comments and layout"""
     channels: Mapping[str, str] = field(default_factory=dict)
-    """what files of data call a channel or column, by our name: `{"force": "Kraft"}`"""
+    """what files of data call a channel or column, by our name, such as Kraft for force"""
 
 
 def check_rig(rig: Rig) -> Rig:
