@@ -3,31 +3,15 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import difffric as df
-from difffric.commands import main
 from tests.commands.variants import EXAMPLES, Table, V
 
 SETUP = EXAMPLES / "setup.toml"
-
-
-@pytest.fixture
-def run(monkeypatch, capfd):
-    """A command line, in this process: exit status and what it said."""
-    monkeypatch.setattr(main, "prepare_jax", lambda: None)  # tests/conftest.py has done it
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["difffric", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stop:
-            main.main()
-        return int(stop.value.code or 0), *capfd.readouterr()
-
-    return run
 
 
 def read_answer(folder: Path) -> dict:

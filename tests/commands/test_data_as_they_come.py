@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import csv
 import json
-import sys
 import warnings
 from dataclasses import replace as with_changes
 from itertools import chain
@@ -14,7 +13,6 @@ import numpy as np
 import pytest
 
 import difffric as df
-from difffric.commands import main
 from difffric.commands.figures.style import make_figure, write_name
 from difffric.measurements.pushes import COLUMNS
 from difffric.name_text import make_printable, shorten_name
@@ -39,20 +37,6 @@ from tests.commands.variants import (
 SETUP = EXAMPLES / "setup.toml"
 TRUTH = df.load(EXAMPLES / "pushes.csv")
 RECORDED = df.load(EXAMPLES / "pushes.tdms")
-
-
-@pytest.fixture
-def run(monkeypatch, capfd):
-    """A command line, in this process: exit status and what it said."""
-    monkeypatch.setattr(main, "prepare_jax", lambda: None)  # tests/conftest.py has done it
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["difffric", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stop:
-            main.main()
-        return int(stop.value.code or 0), *capfd.readouterr()
-
-    return run
 
 
 # The same pushes

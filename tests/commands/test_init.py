@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import sys
 
 import numpy as np
 import pytest
 
 import difffric as df
-from difffric.commands import main
 from difffric.commands.first_steps.first_setup import guess_contact
 from difffric.measurements.pushes import Pushes
 from difffric.rig.rig import spring_damper_rig
@@ -18,20 +16,6 @@ from tests.commands.variants import EXAMPLES, GERMAN, M, Table
 
 TRUTH = json.loads((EXAMPLES / "truth.json").read_text())["rigs"]["DRY"]
 SPEEDS = np.array([800, 1500, 2500, 3500, 5000]) * 1e-3 / 60
-
-
-@pytest.fixture
-def run(monkeypatch, capfd):
-    """A command line, in this process: exit status and what it said."""
-    monkeypatch.setattr(main, "prepare_jax", lambda: None)  # tests/conftest.py has done it
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["difffric", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stop:
-            main.main()
-        return int(stop.value.code or 0), *capfd.readouterr()
-
-    return run
 
 
 @pytest.mark.parametrize("seed", range(5))

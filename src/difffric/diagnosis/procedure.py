@@ -24,6 +24,7 @@ from difffric.diagnosis.background.naming import (
     list_outstanding,
 )
 from difffric.diagnosis.background.search import (
+    ARRIVED,
     MOST_EXCESS,
     BackgroundSearch,
     fit_beside_background,
@@ -68,8 +69,6 @@ _ROUNDS = 40
 _BACKGROUND = 0.05
 """Share of their units by which small effects scatter, from which something outside the catalogue
 may pass for them."""
-_ARRIVED = 1.1
-"""Squares per number up to which a fit with all small effects leaves noise."""
 _LIKE_FRICTION = "normal_force"
 """The effect that is one with mu_s where every push has the same mass."""
 _ROUNDS_WITHOUT = 6
@@ -285,8 +284,9 @@ class _CauseSearch(CauseRounds):
         self.considered = fit_singles(task, self.plain, found)
         if share > _BACKGROUND:
             assumed, self.whole = fit_beside_background(data, found, items)
-            if found.evidence.excess < _ARRIVED:  # else no linear average is to be trusted
-                self.friction = estimate_friction(found.evidence, items)
+            if found.evidence.excess < ARRIVED:  # else no linear average is to be trusted
+                averaged = estimate_friction(found.evidence, items)
+                self.friction = averaged if np.isfinite(averaged).all() else None
             self.start = replace(self.start, data=replace(data, task=assumed))
             self.validation = CrossValidation(assumed, self.validation.folds)
         for item, p_value in zip(items, p_values, strict=True):

@@ -26,7 +26,8 @@ def estimate_friction(
     evidence: Evidence, items: Sequence[PossibleCause]
 ) -> tuple[NDArray, NDArray]:
     """Return the log mu_s (n,) of each push, with drift and rest before it, and the standard errors
-    (n,) of these, where the `items` are causes and all else is background."""
+    (n,) of these, where the `items` are causes and all else is background; NaN where the average is
+    no friction."""
     means, variances, weights = [], [], []
     for scatter, share, weight in evidence.weigh_states(items):
         if weight > _LEAST:
@@ -62,6 +63,7 @@ def _estimate_at(
     c = at.c.copy()
     index, first = list(small.index), evidence.known
     c[0, index] = small.null[index] + best[first : first + len(index)]
+    level = np.where(level > 0, level, np.nan)
     mean = find_friction(task, replace(at, c=c, own=np.log(level)[None]))
     slope = -known[:, None] * own[:, :-1]
     slope[np.arange(task.n), task.condition] += 1.0

@@ -15,7 +15,7 @@ from difffric.diagnosis.background.cause_sets import (
     score_set,
 )
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
-from difffric.diagnosis.background.search import BackgroundSearch, put_shape
+from difffric.diagnosis.background.search import BackgroundSearch, put_shape, put_small
 from difffric.diagnosis.conclusion import ALIKE
 from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.score_test import count_looks
@@ -114,7 +114,7 @@ def _put(
     """Put an effect of these sizes into coordinates c (1, K)."""
     index = task.model.coordinates.indices(numbers_of(item.effect))
     if item.shape is None:
-        c[0, index] = search.small.null[index] + sizes[0]
+        put_small(c, task, search.small, item, sizes[0])
     elif item.shape.placed:
         c[0, index] = search.joint.c[0, index]
     else:

@@ -46,7 +46,7 @@ _SHAPES_FITTED, _OF_EACH = 6, 2
 """Shapes from which a fit is begun where they leave more, and of each effect."""
 _MOST_SHAPED = 6
 """How often effects with a shape are added."""
-_ARRIVED = 1.1
+ARRIVED = 1.1
 """Squares per number from which on a fit that leaves more may have shapes at wrong places."""
 _SMALL = 0.3
 """A shape is small where it would have to grow by this factor at least to have unit size."""
@@ -214,9 +214,7 @@ class _JointSearch:
         first = 0
         for item in items:
             if item.shape is None:  # where it is now is where its smallness held it
-                (column,) = item.columns
-                i = self.small.index[column]
-                start.c[0, i] = self.small.null[i] + sizes[first]
+                put_small(start.c, self.data.task, self.small, item, sizes[first])
             first += len(item.columns)
         new = (x.effect for x in items if x.shape is not None and not x.shape.placed)
         task = free_causes(self.data.task, self.small, evidence, items)
@@ -257,7 +255,7 @@ def search_background(
     evidence = search.weigh()
     for _ in range(_MOST_SHAPED):
         ways = [search.place_shapes, search.place_shapes_anew]
-        if measure_left(data.task, search.joint) < _ARRIVED:
+        if measure_left(data.task, search.joint) < ARRIVED:
             ways = ways[:1]
         if evidence.excess > MOST_EXCESS:
             ways = [search.add_shape]
@@ -316,6 +314,14 @@ def _place(
             own = task.model.coordinates.indices(numbers_of(item.effect))
             extra += [i for i in own if i not in extra]
     return replace(at, c=c, extra=(tuple(extra),), gram=None, residual=None, damping=None)
+
+
+def put_small(
+    c: np.ndarray, task: EnsembleTask, small: SmallEffects, item: PossibleCause, size: float
+) -> None:
+    """Put an effect without a shape, of this size, into coordinates c (1, K), within its bounds."""
+    i = small.index[item.columns[0]]
+    c[0, i] = np.clip(small.null[i] + size, *ensemble.bounds(task, i))
 
 
 def put_shape(c: np.ndarray, item: PossibleCause, sizes: Sequence[float]) -> None:
