@@ -82,8 +82,8 @@ def _refuse_pushes(name: str, data: Any) -> None:
         from difffric.errors import InputError
 
         raise InputError(
-            f"{name}: pushes beside the set-up of an axis: expected a recording of an axis (time, "
-            "force and position), or a set-up with [part] and [contact]"
+            f"{name}: the data are pushes, and the set-up is of an axis: expected a recording of "
+            "an axis (time, force and position), or a set-up with [part] and [contact]"
         )
 
 
@@ -93,8 +93,8 @@ def _refuse_axis(name: str, data: Any) -> None:
         from difffric.errors import InputError
 
         raise InputError(
-            f"{name}: a recording of an axis (force and position over time, no speed of a push) "
-            "beside a rig with a push tip: expected a set-up with [axis], or pushes"
+            f"{name}: the data are a recording of an axis (force and position over time, no speed "
+            "of a push), and the set-up is of a push rig: expected a set-up with [axis], or pushes"
         )
 
 

@@ -26,6 +26,7 @@ def test_recordings_are_shown_as_the_library_reduces_them(run, tmp_path, monkeyp
     out = tmp_path / "out"
     code, said, _ = run("check", EXAMPLES / "pushes.tdms", "--setup", SETUP, "--out", out)
     assert code == 0 and "14 recordings at 7 speeds from 600 to 5000 mm/min" in said
+    assert f"next: difffric fit {EXAMPLES / 'pushes.tdms'} --setup {SETUP} --out" in said
     answer = read_answer(out)
     reduction = df.measurements.reduce_recordings(df.load(EXAMPLES / "pushes.tdms"))
     for row, F, d, one in zip(

@@ -83,4 +83,4 @@ def test_the_measured_piston_has_the_friction_of_its_averages(
 def test_what_is_of_pushes_only_is_refused():
     done = run("fit", AXIS / "recording.csv", "--setup", AXIS / "setup.toml", "--robust")
     assert (done.returncode, done.stdout) == (2, "")
-    assert "--robust: of pushes only" in done.stderr
+    assert "--robust is for pushes only" in done.stderr

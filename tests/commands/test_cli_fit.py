@@ -147,7 +147,10 @@ def test_the_next_push_is_said_where_it_is_typed(fitted):
     speed = f"{60e3 * best['velocity_m_per_s']:.0f} mm/min"
     words = f"Next push: {speed} with {best['mass_kg']:.4g} kg, {best['condition']}, would say"
     assert words in said
-    assert "Next push" not in (fitted["tdms"].parent / "said").read_text()
+    plain = (fitted["tdms"].parent / "said").read_text()
+    fitted_setup = fitted["tdms"] / "setup.toml"
+    assert "Next push" not in plain
+    assert plain.endswith(f"next: difffric identify {TDMS} --setup {fitted_setup}\n")
 
 
 def test_the_folder_holds_the_page_the_figures_and_the_set_up(fitted):

@@ -57,6 +57,8 @@ def test_foreign_names_go_into_the_set_up_and_a_mass_is_asked_for(run, tmp_path,
         "difffric: --mass-kg is missing: the data do not say the mass of the part\n"
     )
     assert run("init", data, *given, "--mass-kg", 18.9)[0] == 0
+    text = (tmp_path / "setup.toml").read_text()
+    assert "# stroke_mm = " in text  # nothing says it: its place is shown
     setup = df.read_setup("setup.toml")
     assert setup.channels == {"velocity": "Geschwindigkeit", "force": "Kraft", "distance": "Weg"}
     read = df.load(data, channels=setup.channels, skip_bad=True)

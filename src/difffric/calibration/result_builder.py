@@ -110,17 +110,20 @@ def _average_values(layout: Layout, at: Settled) -> dict[str, float]:
 def _find_absurd(model: Model, at: Settled, freedom: int, reached: tuple[int, int]) -> list[str]:
     """Why where the search settled is no answer, though it settled."""
     out = []
-    causes = "data that do not belong together, a wrong stroke or unit, or a poor start"
+    reasons = (
+        "an effect that the model does not have, data that do not belong together, a wrong stroke "
+        "or unit, or a poor start"
+    )
     if model.estimate_scatter and at.scatter > _ABSURD_SCATTER:
         out.append(
-            f"not converged: a scatter of mu_s of {100 * at.scatter:.0f} % stands for a misfit "
-            f"({causes})"
+            f"not converged: a scatter of mu_s of {100 * at.scatter:.0f} % is the sign of a "
+            f"misfit; possible reasons: {reasons}"
         )
     chi2, (there, starts) = at.components.chi2 / max(freedom, 1), reached
     if chi2 > _ABSURD_CHI2 and 2 * there < starts:
         out.append(
-            f"not converged: the best of {starts} starts, which {there} reached, leaves a reduced "
-            f"chi-square of {chi2:.3g} ({causes})"
+            f"not converged: {there} of {starts} starts reached the best result, and its reduced "
+            f"chi-square is {chi2:.3g}; possible reasons: {reasons}"
         )
     return out
 
@@ -145,7 +148,8 @@ def _note_doubts(
         if scipy.stats.chi2.sf(chi2, freedom) < _UNLIKELY and by_noise:
             notes.append(
                 f"chi-square is {chi2 / freedom:.3g} times what the noise explains: the model "
-                "lacks something, the noise is larger than said, or this is not the optimum"
+                "lacks something (difffric diagnose looks for it), the noise is larger than "
+                "stated, or this is not the optimum"
             )
     return notes
 
@@ -177,8 +181,8 @@ def _note_spreads(data: FitData, at: Settled) -> list[str]:
             what, scale, unit = ("F_p", 1.0, "N") if name == "force" else ("d", 1e3, "mm")
             notes.append(
                 f"the spread of {what} was estimated as {scale * spread:.3g} {unit}, where a "
-                f"typical {what} is {scale * typical:.3g} {unit}: it stands for a misfit, or for "
-                "data that do not belong together, not for errors of measurement"
+                f"typical {what} is {scale * typical:.3g} {unit}: this is the sign of a misfit, or "
+                "of data that do not belong together, and not an error of measurement"
             )
     return notes
 

@@ -177,7 +177,7 @@ def plan(
         lo, hi = to_mm_min(known.speeds.min()), to_mm_min(known.speeds.max())
         raise InputError(
             f"the speeds: between {lo:g} and {hi:g} mm/min no push that can be followed ends "
-            f"{to_um(target):g} um away; where a part breaks away late it jumps further"
+            f"{to_um(target):g} um away; a part that breaks away late jumps further"
         )
     i = here.best(0, sure)
     single = _make_push(here, 0, i, target)

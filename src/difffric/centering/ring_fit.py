@@ -245,8 +245,8 @@ def _invert(matrix: NDArray) -> NDArray:
         found, lost = even, True
     if lost:
         raise NumericalError(
-            "ring: the readings cannot tell offset, radius and lobes apart: fewer lobes, or a "
-            "longer arc, can be told"
+            "ring: the readings cannot tell offset, radius and lobes apart: allow fewer lobes, or "
+            "measure a longer arc"
         )
     return found * scale[:, None] * scale
 

@@ -18,19 +18,30 @@ from difffric.units import from_mm
 
 
 def acquire(
-    simulate: Annotated[Path | None, typer.Option(help="a setup.toml to push, no card")] = None,
+    simulate: Annotated[
+        Path | None, typer.Option(help="Set-up of a rig to simulate in place of a card.")
+    ] = None,
     velocity_mm_min: Annotated[
-        list[float] | None, typer.Option(help="pusher speed [mm/min], once a push")
+        list[float] | None,
+        typer.Option(help="Speed of one push [mm/min]. Repeatable, one for each push."),
     ] = None,
-    stroke_mm: Annotated[float | None, typer.Option(help="instead of the set-up's")] = None,
-    rate_hz: Annotated[float | None, typer.Option(help="simulated: samples a second")] = None,
-    seed: Annotated[int, typer.Option(help="simulated: of noise and scatter", min=0)] = 0,
-    bitfile: Annotated[Path | None, typer.Option(help="of the card, .lvbitx")] = None,
-    resource: Annotated[str, typer.Option(help="the card's name")] = "RIO0",
+    stroke_mm: Annotated[
+        float | None, typer.Option(help="Stroke, in place of the set-up's.")
+    ] = None,
+    rate_hz: Annotated[
+        float | None, typer.Option(help="With --simulate: samples per second.")
+    ] = None,
+    seed: Annotated[
+        int, typer.Option(help="With --simulate: seed of noise and scatter.", min=0)
+    ] = 0,
+    bitfile: Annotated[Path | None, typer.Option(help="Bitfile of the card, .lvbitx.")] = None,
+    resource: Annotated[str, typer.Option(help="Name of the card.")] = "RIO0",
     setup: Annotated[
-        Path | None, typer.Option(help="with a card: the rig, to identify each push")
+        Path | None, typer.Option(help="With a card: the set-up, to identify each push.")
     ] = None,
-    plot: Annotated[bool, typer.Option("--plot", help="a live figure")] = False,
+    plot: Annotated[
+        bool, typer.Option("--plot", help="Draw the last push while pushes come.")
+    ] = False,
     out: Out = None,
     quiet: Quiet = False,
 ) -> None:
@@ -44,7 +55,9 @@ def acquire(
     require_positive("--rate-hz", rate_hz)
     require_positive("--stroke-mm", stroke_mm)
     if simulate is not None and setup is not None:
-        raise InputError("--setup is for a card: --simulate has its set-up")
+        raise InputError(
+            "--setup and --simulate: give one of them; --simulate names its own set-up"
+        )
     file = simulate or setup
     known, truth = None if file is None else df.read_setup(file), []
     if known is not None and simulate is not None:
@@ -56,7 +69,7 @@ def acquire(
         stroke = known.rig.pusher.stroke
         if stroke is not None and not math.isfinite(stroke):
             raise InputError(
-                f"{file}: [pusher] duration_ms: a card counts travel, give --stroke-mm"
+                f"{file}: [pusher] duration_ms: the card needs a stroke; give --stroke-mm"
             )
     mass = float("nan") if known is None else float(known.rig.mass)
     pushes = reports.acquire.plan_commands(velocity_mm_min or (), stroke=stroke, mass=mass)

@@ -17,18 +17,23 @@ from difffric.units import from_um
 def centre(
     setup: Setup,
     truth: Annotated[
-        Path | None, typer.Option(help="the machine's own setup.toml, with hidden effects")
+        Path | None,
+        typer.Option(help="Set-up of the simulated machine itself, with hidden effects."),
     ] = None,
-    rings: Annotated[int, typer.Option(help="how many", min=1)] = 10,
+    rings: Annotated[int, typer.Option(help="Number of rings.", min=1)] = 10,
     offset_um: Annotated[
-        float | None, typer.Option(help="of each ring; else 5 to 5000, at random")
+        float | None, typer.Option(help="Offset of each ring; by default 5 to 5000, at random.")
     ] = None,
-    mu_s_from: Annotated[float, typer.Option(help="hidden friction is between this")] = 0.08,
-    mu_s_to: Annotated[float, typer.Option(help="and this")] = 0.25,
-    drift_percent: Annotated[float, typer.Option(help="of the hidden mu_s, per push")] = 0.0,
-    verify: Annotated[bool, typer.Option("--verify", help="measure again at the end")] = False,
-    alone: Annotated[bool, typer.Option("--alone", help="not beside other ways")] = False,
-    seed: Annotated[int, typer.Option(help="of rings, noise and scatter", min=0)] = 0,
+    mu_s_from: Annotated[float, typer.Option(help="Smallest hidden mu_s.")] = 0.08,
+    mu_s_to: Annotated[float, typer.Option(help="Largest hidden mu_s.")] = 0.25,
+    drift_percent: Annotated[float, typer.Option(help="Drift of the hidden mu_s per push.")] = 0.0,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Measure the ring again at the end.")
+    ] = False,
+    alone: Annotated[
+        bool, typer.Option("--alone", help="Leave out the other ways to centre a ring.")
+    ] = False,
+    seed: Annotated[int, typer.Option(help="Seed of rings, noise and scatter.", min=0)] = 0,
     out: Out = None,
     quiet: Quiet = False,
 ) -> None:

@@ -37,10 +37,14 @@ def diagnose(
     data: Archive,
     setup: FleetSetup = None,
     matters: Annotated[
-        float, typer.Option(help="share of mu_s that a cause must change, or F_p and d as much")
+        float,
+        typer.Option(help="Least share of mu_s that a cause changes (or F_p or d as much)."),
     ] = 0.005,
     held_out: Annotated[
-        str, typer.Option(help="what is held out at a time: push, or speed (all of one speed)")
+        str,
+        typer.Option(
+            help="Hold out one push at a time, or all pushes of one speed: push or speed."
+        ),
     ] = "push",
     use_data_mass: DataMass = False,
     skip_bad: SkipBad = False,

@@ -17,18 +17,21 @@ from difffric.units import from_mm_min
 
 def export(
     setup: Setup,
-    out: Annotated[Path | None, typer.Option(help="folder for the files; needed")] = None,
-    max_error: Annotated[float, typer.Option(help="largest error, a share of mu_s")] = 0.005,
-    slowest_mm_min: Annotated[float, typer.Option(help="speeds from [mm/min]")] = 500.0,
-    fastest_mm_min: Annotated[float, typer.Option(help="to [mm/min]")] = 5000.0,
-    least_mu_s: Annotated[float, typer.Option(help="mu_s from")] = 0.05,
-    most_mu_s: Annotated[float, typer.Option(help="to")] = 0.30,
+    out: Annotated[Path | None, typer.Option(help="Folder for the files; required.")] = None,
+    max_error: Annotated[float, typer.Option(help="Largest error, as a share of mu_s.")] = 0.005,
+    slowest_mm_min: Annotated[float, typer.Option(help="Lowest speed [mm/min].")] = 500.0,
+    fastest_mm_min: Annotated[float, typer.Option(help="Highest speed [mm/min].")] = 5000.0,
+    least_mu_s: Annotated[float, typer.Option(help="Smallest mu_s.")] = 0.05,
+    most_mu_s: Annotated[float, typer.Option(help="Largest mu_s.")] = 0.30,
     least_elasticity: Annotated[
-        float, typer.Option(help="relative change of a reading, by mu_s, that still tells it")
+        float,
+        typer.Option(help="Least relative change of a reading by mu_s that still determines mu_s."),
     ] = 0.01,
-    stroke_mm: Annotated[float | None, typer.Option(help="instead of the set-up's")] = None,
+    stroke_mm: Annotated[
+        float | None, typer.Option(help="Stroke, in place of the set-up's.")
+    ] = None,
     no_stroke: Annotated[
-        bool, typer.Option("--no-stroke", help="the pusher stops at the first loss of contact")
+        bool, typer.Option("--no-stroke", help="Let the pusher stop at the first loss of contact.")
     ] = False,
     quiet: Quiet = False,
 ) -> None:
@@ -36,7 +39,7 @@ def export(
     if out is None:
         raise InputError("export writes files: expected a folder for them; give --out DIR")
     if no_stroke and stroke_mm is not None:
-        raise InputError("--no-stroke and --stroke-mm: expected one of them at most")
+        raise InputError("--no-stroke and --stroke-mm: give one of them, not both")
     check_out(out)
     require_positive("--slowest-mm-min", slowest_mm_min)
     require_positive("--fastest-mm-min", fastest_mm_min)

@@ -9,7 +9,13 @@ import typer
 import difffric as df
 from difffric.axis.files.file_kind import is_axis_file
 from difffric.commands import reports
-from difffric.commands.console import check_out, check_setup_stays, print_and_write, show_progress
+from difffric.commands.console import (
+    check_out,
+    check_setup_stays,
+    open_console,
+    print_and_write,
+    show_progress,
+)
 from difffric.commands.options import (
     Channel,
     Data,
@@ -29,33 +35,37 @@ def fit(
     data: Data,
     setup: SetupOption,
     free: Annotated[
-        list[str] | None, typer.Option(help="a free parameter, once each; default k, b, k_v, mu_s")
+        list[str] | None,
+        typer.Option(help="A free parameter; by default k, b, k_v and mu_s. Repeatable."),
     ] = None,
     per_condition: Annotated[
         list[str] | None,
-        typer.Option(help="one value for each condition, once each; default mu_s; none: nothing"),
+        typer.Option(
+            help="A parameter with a value for each condition: mu_s (default), others, or none."
+        ),
     ] = None,
     prior: Annotated[
-        bool, typer.Option("--prior", help="the set-up's standard errors count as knowledge")
+        bool,
+        typer.Option("--prior", help="Use the standard errors in the set-up as prior knowledge."),
     ] = False,
     free_start: Annotated[
-        bool, typer.Option("--free-start", help="a start offset for each recording")
+        bool, typer.Option("--free-start", help="Fit a start offset for each recording.")
     ] = False,
     robust: Annotated[
-        bool, typer.Option("--robust", help="outliers of a table weigh less (Huber)")
+        bool, typer.Option("--robust", help="Give outliers of a table less weight (Huber).")
     ] = False,
     use_data_mass: DataMass = False,
     skip_bad: SkipBad = False,
     channel: Channel = None,
     trust_units: TrustUnits = False,
     one_start: Annotated[
-        bool, typer.Option("--one-start", help="search from the set-up's values only")
+        bool, typer.Option("--one-start", help="Search from the set-up's values only.")
     ] = False,
     profile: Annotated[
-        bool, typer.Option("--profile", help="profile-likelihood intervals too")
+        bool, typer.Option("--profile", help="Also give profile-likelihood intervals.")
     ] = False,
     next_push: Annotated[
-        bool, typer.Option("--next-push", help="which push would say most, too")
+        bool, typer.Option("--next-push", help="Also say which push would tell most.")
     ] = False,
     out: Out = None,
     quiet: Quiet = False,
@@ -74,7 +84,7 @@ def fit(
             ("--next-push", next_push),
         ):
             if given:
-                raise InputError(f"{option}: of pushes only, {setup} is the set-up of an axis")
+                raise InputError(f"{option} is for pushes only: {setup} is the set-up of an axis")
         return run.run_fit(data, setup, free or None, skip_bad, out, quiet)
     check_setup_stays(out, setup)
     rig = read_setup_for(setup, channel)
@@ -108,3 +118,6 @@ def fit(
             else {"setup.toml": df.rig.format_setup(found.fitted_setup).encode()}
         )
     print_and_write(report, answer.as_dict(), out, files, tell.timings, loaded.notes)
+    if out is not None and found.converged:
+        fitted = out / "setup.toml"
+        open_console().print(f"next: difffric identify {data} --setup {fitted}", soft_wrap=True)

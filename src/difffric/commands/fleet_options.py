@@ -14,7 +14,7 @@ Archive = Annotated[
     Path,
     typer.Argument(
         metavar="DATA",
-        help="measured pushes, .csv or .tdms; of a fleet a folder, or a pattern as 'a/**/*.tdms'",
+        help="Measured pushes, .csv or .tdms. For a fleet: a folder, or 'a/**/*.tdms'.",
         show_default=False,
     ),
 ]
@@ -22,12 +22,14 @@ FleetSetup = Annotated[
     Path | None,
     typer.Option(
         "--setup",
-        help="the rig, a setup.toml; of a fleet, where no folder upwards has one",
+        help="The set-up, a setup.toml. For a fleet: for files without one above them.",
         show_default=False,
     ),
 ]
-Workers = Annotated[int | None, typer.Option(help="a fleet's processes; one needs no dask", min=1)]
-Scheduler = Annotated[str | None, typer.Option(help="a fleet's dask scheduler, tcp://host:port")]
+Workers = Annotated[int | None, typer.Option(help="For a fleet: number of processes.", min=1)]
+Scheduler = Annotated[
+    str | None, typer.Option(help="For a fleet: a dask scheduler, tcp://host:port.")
+]
 
 
 def is_fleet(data: Path, workers: int | None, scheduler: str | None) -> bool:
@@ -43,7 +45,7 @@ def check_fleet(data: Path, workers: int | None, scheduler: str | None, out: Pat
     if out is None:
         raise InputError(f"--out is missing: expected the folder for what is found in {data}")
     if workers is not None and scheduler is not None:
-        raise InputError("--workers and --scheduler: expected one of them")
+        raise InputError("--workers and --scheduler: give one of them, not both")
     return out
 
 

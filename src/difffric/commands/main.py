@@ -21,29 +21,23 @@ from difffric.compute.programs import private_folder
 from difffric.errors import DifffricError, InputError
 
 COMMANDS = {
-    "simulate": "One push: F_p, d, regime, and their derivatives in every parameter.",
-    "family": "The curve families over speed and mu_s, the fits (3) and (5), their inverses (4), "
-    "(6).",
-    "acquire": "Record pushes into pushes.tdms, in --out or here, and identify them as they come.",
-    "init": "A first, commented setup.toml for a rig, with k and b guessed from its pushes.",
-    "check": "What measured pushes hold, before a fit: traces, landmarks, noise, what is missing, "
-    "what they can determine.",
-    "fit": "Calibrate a part or rig on measured pushes: parameters, errors, what stays open.",
-    "identify": "mu_s of each push from force, distance, (7), the optimal combination, the "
-    "recording; of a folder or a pattern of files, a fleet's: one Parquet data set.",
-    "diagnose": "What the simulation gets wrong, the cause, the extended model and what it gains; "
-    "of a folder or a pattern of files, a fleet: what its rigs share, and which of them differ.",
-    "monitor": "Watch a machine over its pushes: friction, and an alarm (exit status 3) when it "
-    "changes.",
-    "ring": "A ring's offset from the axis and its direction, from probe readings over a rotation.",
-    "plan": "The push that brings a part to its target, and how likely it lands there.",
-    "centre": "Centre rings on a simulated machine with hidden friction, beside other ways to do "
-    "it.",
-    "export": "mu_s from F_p and d for a controller: predictor.c, .h and .json, with the error "
-    "proven.",
-    "warm": "Compile, once and beforehand, what the commands need for a set-up.",
-    "paper": "The paper's Tables I-V and Figures II.3-II.6, beside the differentiable model's "
-    "answers.",
+    "init": "Write a first, commented setup.toml; k and b are guessed from measured pushes.",
+    "check": "Show how measured pushes were read, what is missing, and what a fit could determine.",
+    "fit": "Calibrate a rig or an axis on measured data; write the calibrated set-up.",
+    "identify": "Find the friction of each push or stretch with a calibrated set-up; or of a whole "
+    "fleet, given a folder or a pattern of files.",
+    "diagnose": "Find what the simulation gets wrong, name the cause, write the extended set-up; "
+    "or compare the rigs of a fleet, given a folder or a pattern of files.",
+    "monitor": "Watch a machine over its pushes; raise an alarm (exit status 3) when it changes.",
+    "plan": "Plan the push that brings a part to its target; say how likely it lands there.",
+    "ring": "Find the offset of a ring from the axis, and its direction, from probe readings.",
+    "centre": "Centre rings on a simulated machine with hidden friction; compare other ways.",
+    "export": "Write mu_s from F_p and d as C code for a controller, with a stated error.",
+    "acquire": "Record pushes from a card, real or simulated, into pushes.tdms; identify them.",
+    "simulate": "Simulate one push: F_p, d, regime, derivatives; or the motion of an axis.",
+    "family": "Compute F_p and d over speed and mu_s, and the fits (3) and (5) of the paper.",
+    "warm": "Compile what the commands need for a set-up, so that their first run starts at once.",
+    "paper": "Analyse the measurements of the paper: its tables and figures, and the model's.",
 }
 """Each command, and what `--help` says it does."""
 
@@ -96,7 +90,7 @@ def _list_only() -> None:
 app = typer.Typer(
     cls=LazyGroup,
     no_args_is_help=True,
-    help="Differentiable identification of sliding friction.",
+    help="Measure friction and calibrate its model. Start with: difffric init DATA",
     **_LIKE_ALL,
 )
 for _name, _help in COMMANDS.items():

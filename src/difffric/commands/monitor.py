@@ -26,20 +26,22 @@ from difffric.errors import InputError
 
 def monitor(
     data: Annotated[
-        list[Path], typer.Argument(help="pushes in time order, .csv or .tdms", show_default=False)
+        list[Path], typer.Argument(help="Pushes in time order, .csv or .tdms.", show_default=False)
     ],
     setup: SetupOption,
     state: Annotated[
-        Path | None, typer.Option(help="what is known is kept here, and gone on from")
+        Path | None, typer.Option(help="File that keeps what is known until the next run.")
     ] = None,
     arl: Annotated[
-        float | None, typer.Option(help="pushes between false alarms, in the mean; 1000")
+        float | None,
+        typer.Option(help="Mean number of pushes between false alarms; 1000 by default."),
     ] = None,
     follow: Annotated[
-        bool, typer.Option("--follow", help="wait for the pushes of a .tdms that is being written")
+        bool, typer.Option("--follow", help="Wait for the pushes of a .tdms that is being written.")
     ] = False,
     idle_s: Annotated[
-        float | None, typer.Option(help="--follow ends when no push came for so long; else Ctrl-C")
+        float | None,
+        typer.Option(help="With --follow: end after so long without a push, not at Ctrl-C only."),
     ] = None,
     use_data_mass: DataMass = False,
     skip_bad: SkipBad = False,

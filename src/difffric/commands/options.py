@@ -15,27 +15,34 @@ from difffric.units import from_mm
 if TYPE_CHECKING:
     from difffric.rig.rig import Rig
 
-Setup = Annotated[Path, typer.Argument(help="the rig, a setup.toml", show_default=False)]
-Data = Annotated[Path, typer.Argument(help="measured pushes, .csv or .tdms", show_default=False)]
+Setup = Annotated[Path, typer.Argument(help="The set-up, a setup.toml.", show_default=False)]
+Data = Annotated[Path, typer.Argument(help="Measured pushes, .csv or .tdms.", show_default=False)]
 SetupOption = Annotated[
-    Path, typer.Option("--setup", help="the rig, a setup.toml", show_default=False)
+    Path, typer.Option("--setup", help="The set-up, a setup.toml.", show_default=False)
 ]
 DataMass = Annotated[
-    bool, typer.Option("--use-data-mass", help="masses may contradict the set-up's")
+    bool, typer.Option("--use-data-mass", help="Accept masses that differ from the set-up's.")
 ]
 Channel = Annotated[
     list[str] | None,
     typer.Option(
         metavar="OURS=THEIRS",
-        help="what the file calls a column or channel of ours, once each: force=Kraft",
+        help="Name of a column or channel in your file, such as force=Kraft. Repeatable.",
     ),
 ]
 TrustUnits = Annotated[
-    bool, typer.Option("--trust-units", help="take units as the file says, however odd the data")
+    bool,
+    typer.Option(
+        "--trust-units", help="Take the units that the file says, even if the data look wrong."
+    ),
 ]
-SkipBad = Annotated[bool, typer.Option("--skip-bad", help="leave out what cannot be used")]
-Out = Annotated[Path | None, typer.Option(help="folder for result.json, report.html, figures")]
-Quiet = Annotated[bool, typer.Option("--quiet", help="no progress on standard error")]
+SkipBad = Annotated[
+    bool, typer.Option("--skip-bad", help="Leave out rows and pushes that cannot be used.")
+]
+Out = Annotated[
+    Path | None, typer.Option(help="Folder for result.json, report.html and the figures.")
+]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress on standard error.")]
 
 
 def require_positive(name: str, value: float | None) -> float | None:

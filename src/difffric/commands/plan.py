@@ -17,23 +17,29 @@ from difffric.units import from_mm, from_mm_min, from_um
 def plan(
     setup: Setup,
     offset_um: Annotated[
-        float | None, typer.Option(help="how far the part is to go; or --ring")
+        float | None, typer.Option(help="Distance that the part shall go. Give this or --ring.")
     ] = None,
-    offset_se_um: Annotated[float, typer.Option(help="its standard error", min=0)] = 0.0,
+    offset_se_um: Annotated[
+        float, typer.Option(help="Standard error of --offset-um.", min=0)
+    ] = 0.0,
     ring: Annotated[
-        Path | None, typer.Option(help="probe readings that the offset is found from, .csv")
+        Path | None,
+        typer.Option(help="Probe readings of a ring, .csv, from which the offset follows."),
     ] = None,
     radius_mm: Annotated[
-        float | None, typer.Option(help="the ring's nominal radius, which reading_um counts from")
+        float | None,
+        typer.Option(help="Nominal radius of the ring, if the readings are reading_um."),
     ] = None,
-    mu_s: Annotated[float | None, typer.Option(help="instead of the set-up's")] = None,
+    mu_s: Annotated[float | None, typer.Option(help="mu_s, in place of the set-up's.")] = None,
     mu_s_se: Annotated[
-        float | None, typer.Option(help="its standard error, instead of the set-up's", min=0)
+        float | None, typer.Option(help="Standard error of mu_s, in place of the set-up's.", min=0)
     ] = None,
-    slowest_mm_min: Annotated[float, typer.Option(help="of the speeds to choose from")] = 500.0,
-    fastest_mm_min: Annotated[float, typer.Option(help="likewise")] = 5000.0,
-    within_um: Annotated[float, typer.Option(help="of the target")] = 2.5,
-    reach_mm: Annotated[float, typer.Option(help="how far the rails let a part go")] = 20.0,
+    slowest_mm_min: Annotated[float, typer.Option(help="Lowest speed to choose from.")] = 500.0,
+    fastest_mm_min: Annotated[float, typer.Option(help="Highest speed to choose from.")] = 5000.0,
+    within_um: Annotated[float, typer.Option(help="Tolerance about the target.")] = 2.5,
+    reach_mm: Annotated[
+        float, typer.Option(help="Longest way that the rails let a part go.")
+    ] = 20.0,
     out: Out = None,
     quiet: Quiet = False,
 ) -> None:

@@ -16,18 +16,20 @@ from difffric.units import from_mm, from_um
 
 
 def ring(
-    readings: Annotated[Path, typer.Argument(help="probe readings, .csv", show_default=False)],
+    readings: Annotated[Path, typer.Argument(help="Probe readings, .csv.", show_default=False)],
     radius_mm: Annotated[
-        float | None, typer.Option(help="the nominal radius that reading_um counts from")
+        float | None,
+        typer.Option(help="Nominal radius of the ring, if the readings are reading_um."),
     ] = None,
     noise_um: Annotated[
-        float | None, typer.Option(help="of one reading; estimated unless given")
+        float | None, typer.Option(help="Noise of one reading; estimated by default.")
     ] = None,
     lobes: Annotated[
-        int | None, typer.Option(help="highest order of lobes, 1: none; else by the readings")
+        int | None,
+        typer.Option(help="Highest order of lobes, 1 for none; by default from the readings."),
     ] = None,
     form_um: Annotated[
-        float, typer.Option(help="amplitude of lobes that a ring may have unseen")
+        float, typer.Option(help="Amplitude of lobes that may stay unseen in the readings.")
     ] = 1.0,
     out: Out = None,
 ) -> None:

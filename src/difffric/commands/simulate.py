@@ -18,13 +18,15 @@ from difffric.units import from_mm_min
 def simulate(
     setup: Setup,
     velocity_mm_min: Annotated[
-        float | None, typer.Option(help="pusher speed [mm/min]", show_default=False)
+        float | None, typer.Option(help="Speed of the pusher [mm/min].", show_default=False)
     ] = None,
-    mu_s: Annotated[float | None, typer.Option(help="instead of the set-up's")] = None,
-    mass_kg: Annotated[float | None, typer.Option(help="instead of the set-up's")] = None,
-    stroke_mm: Annotated[float | None, typer.Option(help="instead of the set-up's")] = None,
+    mu_s: Annotated[float | None, typer.Option(help="mu_s, in place of the set-up's.")] = None,
+    mass_kg: Annotated[float | None, typer.Option(help="Mass, in place of the set-up's.")] = None,
+    stroke_mm: Annotated[
+        float | None, typer.Option(help="Stroke, in place of the set-up's.")
+    ] = None,
     motion: Annotated[
-        Path | None, typer.Option(help="of an axis: the forces that drive it, .csv or .tdms")
+        Path | None, typer.Option(help="For an axis: the forces that drive it, .csv or .tdms.")
     ] = None,
     out: Out = None,
     quiet: Quiet = False,

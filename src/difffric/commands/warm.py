@@ -15,10 +15,12 @@ from difffric.commands.options import Quiet
 
 def warm(
     setup: Annotated[
-        Path | None, typer.Argument(help="the rig; else the paper's, with a stroke and without")
+        Path | None,
+        typer.Argument(help="The set-up; by default the paper's rig, with and without a stroke."),
     ] = None,
     processes: Annotated[
-        int | None, typer.Option(help="at once; else as many as there are cores", min=1)
+        int | None,
+        typer.Option(help="Number of processes at once; by default one for each core.", min=1),
     ] = None,
     quiet: Quiet = False,
 ) -> None:

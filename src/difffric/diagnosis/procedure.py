@@ -268,7 +268,7 @@ class _CauseSearch(CauseRounds):
         self.visible |= {effect: score.visible for effect, score in self.scores.items()}
         self.share = share = found.evidence.estimate_share(items)
         if items or share > _BACKGROUND:
-            self.tell("comparing with curves of no particular form", 0.6)
+            self.tell("comparing with free curves", 0.6)
             compared = compare_with_curves(data, found, items)
             self.explained, self.curves = not compared.is_outside, (compared.best,)
         poor = found.evidence.excess > MOST_EXCESS or self.explained is False

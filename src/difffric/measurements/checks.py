@@ -95,7 +95,7 @@ def refuse_constant_columns(pushes: Pushes) -> None:
             where = f"{pushes.source}: " if pushes.source else ""
             raise InputError(
                 f"{where}{key} is {value:.6g} in {n} pushes, at speeds that differ: a sensor that "
-                "was stuck? leave the column out"
+                "was stuck? Then leave the column out"
             )
 
 

@@ -63,7 +63,7 @@ def read_heading(
         said = said if find_unit(said) else of_meaning or said
         if not said and q.own_unit is not None:
             own = q.own_unit.symbol
-            note = f"no unit: read in {own} (--channel {q.stem}_{_OTHER[own]}=... says another)"
+            note = f"no unit: taken as {own} (--channel {q.stem}_{_OTHER[own]}=... says another)"
             return Heading(replace(q, key=name), note)
     else:
         q = find_quantity(name, known)

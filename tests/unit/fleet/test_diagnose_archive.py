@@ -495,7 +495,7 @@ def test_bad_input_is_one_clear_line(archive, tmp_path, quick):
     assert "--out is missing" in problem(archive)
     assert "found none" in problem(tmp_path / "empty", "--out", out)
     both = ("--workers", "2", "--scheduler", "tcp://x:1")
-    assert "expected one of them" in problem(archive, "--out", out, *both)
+    assert "give one of them" in problem(archive, "--out", out, *both)
     assert "--setup is missing" in problem(archive / "a/pushes.csv")
     assert "held_out" in problem(archive, "--out", out, "--held-out", "day")
     alone = problem(archive / "bad", "--out", out)

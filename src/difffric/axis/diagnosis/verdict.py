@@ -113,7 +113,7 @@ class AxisDiagnosis:
             others = f"; or {', '.join(cause.confusable_with)}" if cause.confusable_with else ""
             yield f"{cause.text} ({cause.id}: {numbers}){others}."
         for cause in self.negligible:
-            yield f"Seen, and too small to matter: {cause.id} ({cause.force:.3g} N)."
+            yield f"Negligible: {cause.id} ({cause.force:.3g} N)."
         if self.remaining is not None:
             left = self.remaining
             yield (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difffric as df
 from difffric.commands import reports
-from difffric.commands.console import check_out, print_and_write, show_progress
+from difffric.commands.console import check_out, open_console, print_and_write, show_progress
 from difffric.commands.options import (
     Channel,
     Data,
@@ -36,9 +36,10 @@ def check(
         tell("reading", 0.0)
         loaded = load_data(data, rig, skip_bad, trust_units)
         found = reports.check.examine(loaded, rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
-        tell("what the data can tell", 0.3)
+        tell("asking what the data determine", 0.3)
         known = df.calibration.identifiable(rig, found.pushes)
         tell("drawing", 0.9)
         answer = reports.check.describe_check(found, known)
         report = reports.check.report_check(found, known, rig, out is not None)
     print_and_write(report, answer, out, timings=tell.timings, notes=loaded.notes)
+    open_console().print(f"next: difffric fit {data} --setup {setup} --out DIR", soft_wrap=True)

@@ -35,6 +35,12 @@ _DAMPING = np.array([0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0])
 """damping ratios b / (2 sqrt(k m))"""
 _FRICTION = np.array([0.05, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4, 0.56, 0.8])
 """mu_s, where no recording tells it"""
+_NO_STROKE = (
+    "",
+    "# [pusher]",
+    "# stroke_mm = 2.0             # give the travel of the pusher: d depends on it at low speed",
+)
+"""What stands for the pusher where no stroke is known: its place, and why it matters."""
 _WORST = 1.0
 """Squared logarithm of a ratio that a distance which the model does not give counts as: it is the
 force that tells k and b, and distances near the edge of sticking tell little."""
@@ -76,22 +82,32 @@ def write_first_setup(
         stroke = float(pushes.stroke[0])
     mu_s, k, b = guess_contact(pushes, mass, stroke, known)
     lines = {
-        "part": [("mass_kg", f"{mass:.6g}", "weigh it: every mu_s goes with it")],
+        "part": [("mass_kg", f"{mass:.6g}", "weigh the part: every mu_s depends on it")],
         "friction": [
-            ("mu_s", f"{mu_s:.3g}", "a guess from these pushes; a fit finds it per condition"),
-            ("mu_k_over_mu_s", f"{_RATIO}", "the usual ratio; a fit holds it unless told"),
+            ("mu_s", f"{mu_s:.3g}", "a guess from these pushes; a fit finds it for each condition"),
+            ("mu_k_over_mu_s", f"{_RATIO}", "the usual ratio; a fit holds it by default"),
             ("k_v_N_s_per_m", "0.0", "viscous friction; a fit finds it"),
         ],
         "contact": [
             ("k_N_per_m", f"{k:.2g}", "a guess from these pushes; a fit finds it"),
-            ("b_N_s_per_m", f"{b:.2g}", "likewise"),
+            ("b_N_s_per_m", f"{b:.2g}", "a guess from these pushes; a fit finds it"),
         ],
         "pusher": []
         if stroke is None
-        else [("stroke_mm", f"{to_mm(stroke):.6g}", "the tip's travel")],
+        else [
+            (
+                "stroke_mm",
+                f"{to_mm(stroke):.6g}",
+                "the travel of the pusher: compare it with your rig",
+            )
+        ],
         "force_sensor": [
             ("sensitivity_mV_per_N", f"{said.sensitivity_mV_per_N:.6g}", "from its data sheet"),
-            ("range_N", f"{said.range_N:.6g}", "likewise; a force that reaches it is saturated"),
+            (
+                "range_N",
+                f"{said.range_N:.6g}",
+                "from its data sheet; a force that reaches it is saturated",
+            ),
             *_write_noise("noise_N", noise.get("force"), 1.0),
         ],
         "probe": [
@@ -99,13 +115,13 @@ def write_first_setup(
             *_write_noise("noise_um", noise.get("position"), to_um(1.0)),
         ],
         "files": [
-            (key, json.dumps(name, ensure_ascii=False), "what the files call it")
+            (key, json.dumps(name, ensure_ascii=False), "its name in the files")
             for key, name in names.items()
         ],
     }
     text = _format(lines, data)
     parse_setup(text)
-    return text, f"mu_s about {mu_s:.2g}, k about {k:.2g} N/m, b about {b:.2g} N s/m"
+    return text, (f"guessed from the pushes: mu_s {mu_s:.2g}, k {k:.2g} N/m, b {b:.2g} N s/m")
 
 
 def guess_contact(
@@ -177,12 +193,14 @@ def _write_noise(key: str, noise: Noise | None, scale: float) -> list[tuple[str,
 def _format(tables: dict[str, list[tuple[str, str, str]]], data: Path) -> str:
     """The set-up's text, a comment beside each number."""
     out = [
-        f"# A first set-up for {make_printable(data.name)}, by difffric init:",
-        "# numbers to start a fit from.",
-        "# What each means and what else may stand here: docs/formats.md.",
+        f"# A first set-up for {make_printable(data.name)}, written by difffric init.",
+        "# A fit starts from these numbers.",
+        "# docs/formats.md says what each of them means and which others there are.",
     ]
     for name, entries in tables.items():
         if entries:
             rows = [f"{f'{key} = {value}':<29} # {words}" for key, value, words in entries]
             out += ["", f"[{name}]", *rows]
+        elif name == "pusher":
+            out += _NO_STROKE
     return "\n".join(out) + "\n"

@@ -15,17 +15,20 @@ from difffric.errors import InputError
 def init(
     data: Data,
     mass_kg: Annotated[
-        float | None, typer.Option(help="of the part; asked for, or the data's")
+        float | None, typer.Option(help="Mass of the part; asked for if the data do not say it.")
     ] = None,
     stroke_mm: Annotated[
-        float | None, typer.Option(help="of the pusher; none: none is known")
+        float | None,
+        typer.Option(help="Travel of the pusher; by default what the data say, if they do."),
     ] = None,
-    sensitivity_mv_per_n: Annotated[float, typer.Option(help="of the force sensor")] = 11.2,
-    range_n: Annotated[float, typer.Option(help="at which the force sensor saturates")] = 446.0,
-    resolution_um: Annotated[float, typer.Option(help="of the probe")] = 0.02,
+    sensitivity_mv_per_n: Annotated[
+        float, typer.Option(help="Sensitivity of the force sensor.")
+    ] = 11.2,
+    range_n: Annotated[float, typer.Option(help="Force at which the sensor saturates.")] = 446.0,
+    resolution_um: Annotated[float, typer.Option(help="Resolution of the probe.")] = 0.02,
     channel: Channel = None,
     skip_bad: SkipBad = False,
-    to: Annotated[Path, typer.Option(help="file to write; must not be there yet")] = Path(
+    to: Annotated[Path, typer.Option(help="File to write; it must not exist yet.")] = Path(
         "setup.toml"
     ),
 ) -> None:
@@ -35,7 +38,7 @@ def init(
     from difffric.commands.first_steps.first_setup import FirstNumbers, write_first_setup
 
     if to.exists():
-        raise InputError(f"{to}: there already; give another name with --to")
+        raise InputError(f"{to}: exists already; give another name with --to")
     sensor = require_positive("--sensitivity-mv-per-n", sensitivity_mv_per_n)
     said = FirstNumbers(
         require_positive("--mass-kg", mass_kg),

@@ -173,7 +173,7 @@ class _Group:
         key = channel.strip().lower()
         near = difflib.get_close_matches(key, CHANNELS, n=1, cutoff=0.75) if strict else []
         if near:
-            raise ValueError(f"did you mean {near[0]}? --channel {near[0]}={channel!r} says so")
+            raise ValueError(f"did you mean {near[0]}? Then give --channel {near[0]}={channel!r}")
         return None
 
     def _describe_missing(self) -> str:
