@@ -46,7 +46,7 @@ WATCHED = {"pushes": 60, "changed_from": 41, "factor": 1.06}
 
 SETUP = """\
 # Rough guesses for the rig of pushes.csv and pushes.tdms: what an engineer knows before the first
-# fit. truth.json has what the data were made with.
+# fit. truth.json holds the true numbers.
 
 [part]
 mass_kg = 18.9                # weighed
@@ -58,7 +58,7 @@ k_v_N_s_per_m = 5.0           # a guess
 
 [contact]                     # equation (2)
 k_N_per_m = 5.0e5             # a guess: the truth may be twice that
-b_N_s_per_m = 900.0           # likewise
+b_N_s_per_m = 900.0           # a guess: the truth may be twice that
 
 [pusher]
 stroke_mm = 1.2
@@ -77,20 +77,21 @@ noise_um = 0.3
 README = """\
 # Examples
 
-Made data: the truth is known, and a fit can be held against it.
+These files are made data. Their truth is known, so that you can compare a fit with it. The commands
+below run in a clone of this repository.
 
-| file | is |
+| file | contents |
 | --- | --- |
 | `setup.toml` | an engineer's rough guesses of the rig |
 | `pushes.csv` | {n} pushes, DRY and OILY: `F_p` and `d` with their standard errors |
 | `pushes.tdms` | the same {n} pushes recorded: force and position at 10 kHz |
 | `slides.csv` | {slides} free slides, DRY and OILY: release speed and distance |
 | `ring.csv` | 360 probe readings of a ring over a rotation: 4 missing, 9 outliers |
-| `watched.csv` | 60 pushes of the DRY part in a row, whose friction rises by 6 % on the way |
+| `watched.csv` | 60 pushes of the DRY part in a row; the friction rises by 6 % at push 41 |
 | `hidden/` | 10 recordings of a rig whose friction falls with speed, its rough set-up, its truth |
 | `axis/` | a recording of a servo axis whose drive cogs, its rough set-up, its truth |
 | `pneumatic_cylinder/` | a measured piston (CC0): friction under an imposed motion |
-| `truth.json` | what they were made with: the rig, each push's own `mu_s`, its `F_p` and `d` |
+| `truth.json` | the truth behind the data: the rig, each push's own `mu_s`, its `F_p` and `d` |
 
 ```sh
 difffric fit examples/pushes.tdms --setup examples/setup.toml --out out/fit
@@ -105,7 +106,7 @@ difffric diagnose examples/hidden/pushes.tdms --setup examples/hidden/setup.toml
 
 ## How they were made
 
-By the tests' simulator, which solves equations (1) and (2) piece by piece, in closed form, and
+The simulator of the tests made them. It solves equations (1) and (2) piece by piece, in closed form, and
 shares no code with the library:
 
 ```sh
@@ -116,13 +117,13 @@ Seed {seed}. In each push `mu_s` differs from its condition's value by a scatter
 (log `mu_s` is normal). The recordings begin 20 ms before the push and end 30 ms after the last
 motion. Their noise is white, {force:g} N and {position:g} µm; the force is rounded to steps
 of a 16-bit converter over ±446 N, the position to 20 nm, from a zero that differs from push to
-push. Noise of the table: {force_se:g} N and {distance_se:g} µm; of the slides:
+push. The noise of the table is {force_se:g} N and {distance_se:g} µm; the noise of the slides is
 {slide_velocity_se:g} % in speed and {slide_distance_se:g} µm.
 
 `ring.csv` is made by meeting rays from the axis with the ring's surface by bisection; its offset,
-direction and lobes stand in `truth.json`.
+direction and lobes are in `truth.json`.
 
-`hidden/` is made by the simulator of the tests of `diagnose`; its effect is 5 % of `F_p` or `d`:
+The simulator of the tests of `diagnose` makes `hidden/`. Its effect changes `F_p` or `d` by 5 %:
 
 ```sh
 .venv/bin/python -m tests.hidden.make_examples
