@@ -106,8 +106,8 @@ difffric diagnose examples/hidden/pushes.tdms --setup examples/hidden/setup.toml
 
 ## How they were made
 
-The simulator of the tests made them. It solves equations (1) and (2) piece by piece, in closed form, and
-shares no code with the library:
+The simulator of the tests made them. It solves equations (1) and (2) piece by piece, in closed
+form, and shares no code with the library:
 
 ```sh
 .venv/bin/python -m tests.reference.make_examples
