@@ -95,7 +95,7 @@ def _describe_misfits(pushes: Sequence[PushFriction]) -> str | None:
     kept = sum(pushes[i].best_way == "mu_s_trace" for i in bad)
     taken = "their mu_s is taken from force and distance"
     if kept:
-        taken += f", or, of the {kept} without, kept with a wider error"
+        taken += f"; {kept} without these keep it, with a wider error"
     return (
         f"{len(bad)} of {len(pushes)} whole recordings do not fit the model (chi-square up to "
         f"{format_number(pushes[worst].trace_reduced_chi2, 3)}, {_name(pushes, worst)}; 1 is to "
@@ -120,8 +120,8 @@ def _describe_apart(
     return (
         f"in {len(found)} of {len(pushes)} pushes {ways} differ by more than three standard "
         f"errors, by up to {format_number(100 * share, 3)} % ({_name(pushes, i)}: "
-        f"{format_number(a, 4)} against {format_number(b, 4)}): the model or the set-up is not "
-        "right for these data"
+        f"{format_number(a, 4)} against {format_number(b, 4)}): the model or the set-up may be "
+        "wrong for these data, or another of several mu_s is the right one"
     )
 
 
