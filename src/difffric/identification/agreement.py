@@ -95,7 +95,7 @@ def _describe_misfits(pushes: Sequence[PushFriction]) -> str | None:
     kept = sum(pushes[i].best_way == "mu_s_trace" for i in bad)
     taken = "their mu_s is taken from force and distance"
     if kept:
-        taken += f"; {kept} without these keep it, with a wider error"
+        taken += f"; {kept} without these are kept with a wider error"
     return (
         f"{len(bad)} of {len(pushes)} whole recordings do not fit the model (chi-square up to "
         f"{format_number(pushes[worst].trace_reduced_chi2, 3)}, {_name(pushes, worst)}; 1 is to "
