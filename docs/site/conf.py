@@ -37,6 +37,7 @@ FUNCTION = re.compile(r"<(m[io])>(max|min|sin|cos|tan|arcsin|ln|exp)</\1>(?=(<mo
 CONTENTS = {
     "Start": [
         "docs/new_setup",
+        "docs/glossary",
         "docs/error_bars",
         "examples/README",
         "examples/pneumatic_cylinder/README",

@@ -19,6 +19,7 @@ ROOT = Path(__file__).parents[2]
 PAGES = (
     "index",
     "docs/new_setup",
+    "docs/glossary",
     "docs/model",
     "docs/effects",
     "docs/catalogue",
