@@ -37,6 +37,8 @@ FUNCTION = re.compile(r"<(m[io])>(max|min|sin|cos|tan|arcsin|ln|exp)</\1>(?=(<mo
 CONTENTS = {
     "Start": [
         "docs/new_setup",
+        "docs/axis",
+        "docs/the_paper",
         "docs/glossary",
         "docs/error_bars",
         "examples/README",
@@ -46,7 +48,6 @@ CONTENTS = {
         "docs/reduction",
         "docs/acquire",
         "docs/diagnose",
-        "docs/axis",
         "docs/plan",
         "docs/ring",
         "docs/monitor",
@@ -57,7 +58,7 @@ CONTENTS = {
     "Notebooks": [f"notebooks/{path.stem}" for path in sorted(HERE.parents[1].glob("notebooks/*"))],
     "The model": ["docs/model", "docs/effects", "docs/catalogue"],
     "Reference": ["docs/site/reference", "docs/formats", "docs/card"],
-    "Evidence": ["docs/the_paper", "docs/performance", "docs/study", "docs/sampling"],
+    "Evidence": ["docs/performance", "docs/study", "docs/sampling"],
     "The project": [
         "docs/architecture",
         "docs/decisions/README",
