@@ -29,8 +29,8 @@ def describe_latch(reduction: Reduction) -> tuple[str, ...]:
     name = reduction.recordings[worst].name or f"push {worst}"
     most = format_number(to_um(apart[worst]), 3)
     return (
-        f"{len(several)} of {len(apart)} pushes lose contact more than once: d counts from the "
-        f"last loss, a latch at the first one would give up to {most} µm more ({name})",
+        f"{len(several)} of {len(apart)} pushes lose contact more than once: d is counted from the "
+        f"last loss; counted from the first one, d would be up to {most} µm longer ({name})",
     )
 
 
