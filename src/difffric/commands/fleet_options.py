@@ -14,7 +14,7 @@ Archive = Annotated[
     Path,
     typer.Argument(
         metavar="DATA",
-        help="Measured pushes, .csv or .tdms. For a fleet: a folder, or 'a/**/*.tdms'.",
+        help="Measured data, .csv or .tdms. For a fleet: a folder, or 'a/**/*.tdms'.",
         show_default=False,
     ),
 ]

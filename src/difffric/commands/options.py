@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from difffric.rig.rig import Rig
 
 Setup = Annotated[Path, typer.Argument(help="The set-up, a setup.toml.", show_default=False)]
-Data = Annotated[Path, typer.Argument(help="Measured pushes, .csv or .tdms.", show_default=False)]
+Data = Annotated[Path, typer.Argument(help="Measured data, .csv or .tdms.", show_default=False)]
 SetupOption = Annotated[
     Path, typer.Option("--setup", help="The set-up, a setup.toml.", show_default=False)
 ]
@@ -40,7 +40,8 @@ SkipBad = Annotated[
     bool, typer.Option("--skip-bad", help="Leave out rows and pushes that cannot be used.")
 ]
 Out = Annotated[
-    Path | None, typer.Option(help="Folder for result.json, report.html and the figures.")
+    Path | None,
+    typer.Option(help="Folder for the results: result.json, report.html, figures, set-up."),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress on standard error.")]
 
