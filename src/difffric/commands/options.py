@@ -41,7 +41,7 @@ SkipBad = Annotated[
 ]
 Out = Annotated[
     Path | None,
-    typer.Option(help="Folder for the results: result.json, report.html, figures, set-up."),
+    typer.Option(help="Folder for the results: report.html, result.json, figures and other files."),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress on standard error.")]
 
