@@ -57,9 +57,16 @@ def test_foreign_names_go_into_the_set_up_and_a_mass_is_asked_for(run, tmp_path,
         "difffric: --mass-kg is missing: the data do not say the mass of the part\n"
     )
     assert run("init", data, *given, "--mass-kg", 18.9)[0] == 0
-    text = (tmp_path / "setup.toml").read_text()
-    assert "# stroke_mm = " in text  # nothing says it: its place is shown
     setup = df.read_setup("setup.toml")
     assert setup.channels == {"velocity": "Geschwindigkeit", "force": "Kraft", "distance": "Weg"}
     read = df.load(data, channels=setup.channels, skip_bad=True)
     assert np.array_equal(read.velocity, df.load(EXAMPLES / "pushes.csv").velocity)
+
+
+def test_the_place_of_a_stroke_is_shown_where_nothing_says_it(run, tmp_path):
+    text = (EXAMPLES / "pushes.csv").read_text()
+    data, to = tmp_path / "pushes.csv", tmp_path / "setup.toml"
+    data.write_text(text.replace("stroke_mm", "note", 1))
+    assert run("init", data, "--to", to, "--skip-bad")[0] == 0
+    assert df.read_setup(to).rig.pusher.stroke is None
+    assert "# stroke_mm = " in to.read_text()
