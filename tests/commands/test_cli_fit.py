@@ -171,7 +171,7 @@ def test_the_folder_holds_the_page_the_figures_and_the_set_up(fitted):
     [
         # Minutes: nonsense has many optima, and each is looked at.
         pytest.param(True, "a scatter of mu_s of", marks=pytest.mark.slow),
-        (False, "leaves a reduced"),
+        (False, "starts reached the best"),
     ],
 )
 def test_distances_of_other_pushes_do_not_converge(scatter_free, says):
