@@ -12,11 +12,11 @@ from difffric.rig.catalogue import CATALOGUE, RATIO, Effect
 
 _HEAD = """# The catalogue
 
-`difffric diagnose` looks for the effects on this page. Each section gives the law of one effect with its
-source, the keys of its table `[effects.ID]`, the signs that one sees in data, the effects that it is
-confused with, and the measurement that separates it from them. The page is made from `rig/catalogue.py` by
-`python docs/site/catalogue_page.py`. [effects.md](effects.md) has the equations of all effects together,
-and the [glossary](glossary.md) defines the words.
+`difffric diagnose` looks for the effects on this page. Each section gives the law of one effect
+with its source, the keys of its table `[effects.ID]`, the signs that one sees in data, the
+effects that it is confused with, and the measurement that separates it from them. The page is
+made from `rig/catalogue.py` by `python docs/site/catalogue_page.py`. [effects.md](effects.md) has
+the equations of all effects together, and the [glossary](glossary.md) defines the words.
 """
 
 
