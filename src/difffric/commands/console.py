@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from difffric.commands import reports
+from difffric.commands.layout.json_output import is_json_asked
 from difffric.commands.layout.terminal_tables import lay_out
 from difffric.errors import InputError
 from difffric.name_text import make_printable
@@ -84,22 +85,21 @@ def print_and_write(
     files: Mapping[str, bytes] | None = None,
     timings: Timings | None = None,
     notes: Sequence[str] = (),
-    json: bool = False,
 ) -> None:
     """Print the report's summary, tables and advice; write the folder where one was asked for.
 
     `notes`: what was converted as the data were read; they stand after the verdict, and in
     result.json. `files` are written beside result.json, report.html and the figures; `timings`,
-    where there are any, stand in result.json. With `json` what result.json holds is printed, and
+    where there are any, stand in result.json. With `--json` what result.json holds is printed, and
     nothing else.
     """
     if notes:
         told = [f"Data: {note}." for note in dict.fromkeys(notes)]
         report = replace(report, summary=[*told, *report.summary])
         answer = {**answer, "data_notes": [*dict.fromkeys(notes)]}
-    if timings is not None and (json or out is not None):
+    if timings is not None:
         answer = {**answer, "timings": timings.as_dict()}
-    if json:
+    if is_json_asked():
         sys.stdout.write(reports.page.format_answer(answer))
         sys.stdout.flush()
     else:
@@ -107,7 +107,7 @@ def print_and_write(
     if out is not None:
         reports.page.write_folder(out, answer, report, files)
         names = ", ".join(["result.json", "report.html", *(files or {}), "figures"])
-        if not json:
+        if not is_json_asked():
             open_console().print(f"written to {out}: {names}")
 
 

@@ -41,7 +41,7 @@ class Plot {
       bar.append(button);
     }
     const hint = document.createElement("span");
-    hint.textContent = "Point at the figure to read values; drag to zoom, Shift and drag to move, double-click to reset; or the keys ← → ↑ ↓ + − 0.";
+    if (this.figure === document.querySelector("figure")) hint.textContent = "Point at the figure to read values; drag to zoom, Shift and drag to move, double-click to reset; or the keys ← → ↑ ↓ + − 0.";
     bar.append(hint);
     this.figure.querySelector("figcaption").after(bar);
   }

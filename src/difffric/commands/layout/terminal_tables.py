@@ -11,7 +11,7 @@ from rich.cells import cell_len
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from difffric.commands.layout.table_columns import holds_numbers, leave_out_empty
+from difffric.commands.layout.table_columns import holds_numbers, is_missing, leave_out_empty
 from difffric.name_text import make_printable, shorten_name
 
 _TEXT = 22
@@ -49,11 +49,11 @@ class _Column:
         words = max(map(cell_len, self.heading.split()), default=0)
         self.width = max(self.longest, words)
 
-    def shorten(self, most: int) -> None:
-        """Make room by leaving out the middle of long names."""
-        if not (self.numbers or self.wraps):
-            self.cells = [shorten_name(x, most) if cell_len(x) > most else x for x in self.cells]
-            self.wrap_heading()
+    def shorten(self, most: int) -> list[str]:
+        """Return the cells without the middle of long names; numbers and texts as they are."""
+        if self.numbers or self.wraps:
+            return self.cells
+        return [shorten_name(x, most) if cell_len(x) > most else x for x in self.cells]
 
 
 def lay_out(
@@ -69,9 +69,7 @@ def lay_out(
     for one in shown:
         one.numbers = holds_numbers(one.cells)
     _make_narrow(shown, width)
-    blocks = _split(shown, width)
-    captions = [caption] + [f"{caption} (continued)"] * (len(blocks) - 1)
-    return [_draw(words, block) for words, block in zip(captions, blocks, strict=True)]
+    return [_draw(caption, block, i > 0) for i, block in enumerate(_split(shown, width))]
 
 
 def _measure(columns: Sequence[_Column]) -> int:
@@ -87,11 +85,16 @@ def _make_narrow(columns: Sequence[_Column], width: int) -> None:
     texts = [one for one in columns if one.wraps]
     for one in texts:
         one.width = _find_least(one)
-    for most in _NAMES:
+    whole = [one.cells for one in columns]
+    # As short as it must be; where nothing helps, the table is split, and names are nearly whole.
+    for most in (*_NAMES, _NAMES[0]):
         if _measure(columns) <= width:
             break
-        for one in columns:
-            one.shorten(most)
+        for one, cells in zip(columns, whole, strict=True):
+            one.cells = cells
+            one.cells = one.shorten(most)
+            if not one.wraps:
+                one.wrap_heading()
     for one in texts:  # what is left over is theirs
         spare = width - _measure(columns)
         one.width += max(0, min(spare, max(one.longest, cell_len(one.heading)) - one.width))
@@ -117,9 +120,10 @@ def _split(columns: list[_Column], width: int) -> list[list[_Column]]:
     return blocks
 
 
-def _draw(caption: str, columns: Sequence[_Column]) -> RichTable:
+def _draw(caption: str, columns: Sequence[_Column], continued: bool) -> RichTable:
+    """Return one block; of a continued one without rows that have nothing to add."""
     shown = RichTable(
-        title=Text(make_printable(caption)),
+        title=Text(make_printable(caption + " (continued)" * continued)),
         title_justify="left",
         title_style="bold",
         box=SIMPLE_HEAD,
@@ -130,6 +134,7 @@ def _draw(caption: str, columns: Sequence[_Column]) -> RichTable:
     for one in columns:
         justify = "right" if one.numbers else "left"
         shown.add_column(Text(one.heading), justify=justify, overflow="fold", width=one.width)
-    for row in zip(*(one.cells for one in columns), strict=True):
-        shown.add_row(*map(Text, row))
+    for name, *row in zip(*(one.cells for one in columns), strict=True):
+        if not (continued and all(map(is_missing, row))):
+            shown.add_row(*map(Text, (name, *row)))
     return shown

@@ -102,15 +102,15 @@ def report_friction(
         drawn = [
             Picture(
                 "mu_s_ways",
-                "mu_s of each push, a panel for each way to find it, with bars of one standard error. "
-                "The dotted line is the mean of the best estimates; a cross marks a recording that "
-                "the model does not follow.",
+                "mu_s of each push, a panel for each way to find it, with bars of one standard "
+                "error. The dotted line is the mean of the best estimates; a cross marks a "
+                "recording that the model does not follow.",
                 figures.identify.draw_identified(found, velocity),
             ),
             Picture(
                 "mu_s",
-                "The best estimate of each push. The band is the mean of its condition ± the spread "
-                "of its pushes.",
+                "The best estimate of each push. The band is the mean of its condition ± the "
+                "spread of its pushes.",
                 figures.identify.draw_best_estimates(found, order, answer["conditions"]),
             ),
         ]
@@ -137,15 +137,15 @@ def report_friction(
 
 
 def _summarise(found: Identified, answer: dict) -> list[str]:
-    lines = []
+    known = sum(p.best.value is not None for p in found)
+    lines = [f"Each of the {known} pushes gives mu_s."]
+    if known < len(found):
+        lines = [f"{known} of {len(found)} pushes give mu_s; the table says why the others do not."]
     for condition, of in answer["conditions"].items():
         value, error = format_pair(of["mean"], of["standard_error"])
         spread = "" if of["spread"] is None else f", spread {100 * of['spread']:.2g} %"
         name = f"{shorten_name(condition, _NAME)}: " if condition else ""
         lines.append(f"{name}mu_s = {value} ± {error} ({of['pushes']} pushes{spread})")
-    none = sum(p.best.value is None for p in found)
-    if none:
-        lines.append(f"{none} of {len(found)} pushes give no mu_s; the table says why.")
     if answer["stroke"] and any(not np.isnan(p.velocity) for p in found):
         lines.append(answer["stroke"])
     lines += [f"Note: {note}." for note in found.notes]
@@ -200,9 +200,8 @@ def _tabulate_pushes(found: Identified, velocity: NDArray) -> Table:
         words = [p.reason or ""]
         if p.alternatives:
             others = [x for x in p.alternatives if x != p.mu_s_distance.value]
-            words.append(
-                f"the same d follows from mu_s = {', '.join(format_number(x, 3) for x in others)}, too"
-            )
+            other = ", ".join(format_number(x, 3) for x in others)
+            words.append(f"the same d follows from mu_s = {other}, too")
         rows.append([*row, "; ".join(x for x in words if x)])
     measures = ["reduced chi²"] * bad + ["force − distance [σ]"] * both
     columns = ["push", "speed [mm/min]", "condition", *(WAYS[way] for way in ways)]

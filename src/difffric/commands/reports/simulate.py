@@ -15,7 +15,6 @@ from difffric.simulation.events import Regime, explain
 from difffric.simulation.sensitivities import regime_margin, sensitivity
 from difffric.units import from_mm_min, to_um
 
-
 _REGIMES = {
     "no_motion": "The part does not move.",
     "pushed_to_rest": "The part never leaves the tip, and rests in contact with it.",
