@@ -186,7 +186,7 @@ def test_values_are_read_out_where_they_are_drawn_zoomed_or_not(opened, report):
     assert np.allclose(seen, measured, rtol=1e-5)
     marks = find_marks(page, "F_p and d over speed")
     (left, low), (right, high) = min(marks), max(marks)
-    page.mouse.move(left - 20, low + 20)
+    page.mouse.move(left - 4, low + 4)
     page.mouse.down()
     page.mouse.move((left + right) / 2, (low + high) / 2, steps=3)
     page.mouse.up()
@@ -194,7 +194,7 @@ def test_values_are_read_out_where_they_are_drawn_zoomed_or_not(opened, report):
     assert max(moved)[0] > right + 100  # beyond the panel's edge: it is zoomed
     x, y = min(moved)
     page.mouse.move(x, y)
-    assert f"{measured[0][1]:.6g}" in readout.inner_text()
+    assert any(f": {force:.6g} ± " in readout.inner_text() for _, force in measured[:2])
     page.mouse.dblclick(x, y)
     assert np.allclose(find_marks(page, "F_p and d over speed"), marks)
 

@@ -48,20 +48,22 @@ def draw_svg(figure: Figure, name: str) -> SvgFigure:
     with warnings.catch_warnings(), matplotlib.rc_context(_STYLE):
         # A letter that matplotlib's own font lacks is measured as a box, and shown by the browser.
         warnings.filterwarnings("ignore", r"Glyph \d+")
-        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
+        figure.savefig(buffer, format="svg", facecolor="none", metadata={"Date": None})
     ET.register_namespace("", _SVG)
     root = ET.fromstring(buffer.getvalue())
-    colours = _Colours()
-    _rewrite(root, name, colours)
     width, height = (float(x) for x in root.attrib["viewBox"].split()[2:])
+    panels = [
+        describe_panel(ax, place, (width, height)) for place, ax in places.items() if _can_zoom(ax)
+    ]
+    colours = _Colours()
+    # What stands on a coloured map keeps its colours, as the map does.
+    on_maps = {part["id"] for panel in panels if panel["map"] for part in panel["parts"]}
+    _rewrite(root, name, colours, on_maps)
     for key in ("width", "height", "version"):
         root.attrib.pop(key, None)
     for group in root.iter():  # the page has the style of all drawings
         for part in [x for x in group if x.tag in (f"{{{_SVG}}}metadata", f"{{{_SVG}}}style")]:
             group.remove(part)
-    panels = [
-        describe_panel(ax, place, (width, height)) for place, ax in places.items() if _can_zoom(ax)
-    ]
     return SvgFigure(
         ET.tostring(root, encoding="unicode"), panels, colours.found, round(width / 0.75)
     )
@@ -99,17 +101,10 @@ class _Colours:
         return f"var(--c{colour[1:]})"
 
 
-def _rewrite(root: ET.Element, name: str, colours: _Colours) -> None:
+def _rewrite(root: ET.Element, name: str, colours: _Colours, on_maps: set[str]) -> None:
     """Put variables for colours, and names that are the page's only ones, into all elements."""
-    # What stands on a coloured map keeps its colours, as the map does.
-    kept = {
-        id(part)
-        for panel in root.iter(f"{{{_SVG}}}g")
-        if panel.get("id", "").count(".") == 1 and panel.find(f".//{{{_SVG}}}image") is not None
-        for group in panel
-        if not group.get("id", "").endswith((".x", ".y")) and "legend" not in group.get("id", "")
-        for part in group.iter()
-    }
+    groups = (group for group in root.iter(f"{{{_SVG}}}g") if group.get("id") in on_maps)
+    kept = {id(part) for group in groups for part in group.iter()}
     for element in root.iter():
         own = element.attrib
         if "style" in own:

@@ -16,6 +16,8 @@ from difffric.name_text import make_printable, shorten_name
 
 _TEXT = 22
 """Characters that a column of texts needs to be readable; shorter ones are names."""
+_WORDS = 3
+"""Words from which on it is a text, and no name."""
 _NAMES = (24, 16, 12)
 """Letters that names are shortened to, one after the other, until a table is narrow enough."""
 _EDGES = 2
@@ -42,7 +44,9 @@ class _Column:
     @property
     def wraps(self) -> bool:
         """Whether its cells are texts, which may go on in another line."""
-        return not self.numbers and any(len(x) > _TEXT and " " in x.strip() for x in self.cells)
+        return not self.numbers and any(
+            len(x) > _TEXT and len(x.split()) >= _WORDS for x in self.cells
+        )
 
     def wrap_heading(self) -> None:
         """Make room by a heading of several lines."""

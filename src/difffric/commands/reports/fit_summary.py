@@ -35,7 +35,7 @@ def summarise_fit(fit: Fit) -> list[str]:
         f"The fit used {len(fit.mu_s)} {kind} with {fit.samples} measured numbers{beside}; "
         f"chi-square is {fit.chi2:.6g} with {fit.degrees_of_freedom} degrees of freedom."
     )
-    if of:
+    if of > 1:
         lines.append(f"{reached} of {of} starting points led to this result.")
     lines += [f"Note: {note}." for note in fit.notes]
     if fit.skipped:

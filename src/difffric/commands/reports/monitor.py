@@ -53,7 +53,7 @@ def format_alarm(monitor: Monitor, alarm: Alarm, words: str) -> str:
     """Return the line that tells an alarm: where, what may have changed, and since when."""
     places = {x.number: x for x in monitor.kept}
     at, since = _format_place(places, alarm.push), _format_place(places, alarm.change)
-    return f"ALARM at {at}: {words}; since {since} ({alarm.kind})"
+    return f"ALARM at {at}: {words}; the change began at {since} ({alarm.kind})"
 
 
 def make_teller(feed: Feed) -> Callable[[PushRecord], None]:
