@@ -84,7 +84,7 @@ def _describe_part(ax: Any, artist: Any, size: tuple[float, float]) -> dict[str,
     if not isinstance(artist, (Line2D, Collection, Patch, Text)) or artist is ax.patch:
         return None
     if isinstance(artist, Annotation):
-        coords = artist.xycoords
+        coords: Any = artist.xycoords
         coords = coords if isinstance(coords, tuple) else (coords, coords)
         along = tuple(
             one == "data" or (not isinstance(one, str) and one.contains_branch_seperately(

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from rich.box import SIMPLE_HEAD
 from rich.cells import cell_len
+from rich.console import Group
 from rich.table import Table as RichTable
 from rich.text import Text
 
@@ -62,7 +63,7 @@ class _Column:
 
 def lay_out(
     caption: str, columns: Sequence[str], rows: Sequence[Sequence[str]], width: int
-) -> list[RichTable]:
+) -> list[Group]:
     """Return a table as a terminal of so many columns shows it: one, or several below each other
     that begin with the same column."""
     columns, rows = leave_out_empty(columns, rows)
@@ -124,12 +125,9 @@ def _split(columns: list[_Column], width: int) -> list[list[_Column]]:
     return blocks
 
 
-def _draw(caption: str, columns: Sequence[_Column], continued: bool) -> RichTable:
+def _draw(caption: str, columns: Sequence[_Column], continued: bool) -> Group:
     """Return one block; of a continued one without rows that have nothing to add."""
     shown = RichTable(
-        title=Text(make_printable(caption + " (continued)" * continued)),
-        title_justify="left",
-        title_style="bold",
         box=SIMPLE_HEAD,
         padding=0,
         pad_edge=False,
@@ -141,4 +139,6 @@ def _draw(caption: str, columns: Sequence[_Column], continued: bool) -> RichTabl
     for name, *row in zip(*(one.cells for one in columns), strict=True):
         if not (continued and all(map(is_missing, row))):
             shown.add_row(*map(Text, (name, *row)))
-    return shown
+    # Not as the table's title, which would be squeezed into the width of a narrow one.
+    title = Text(make_printable(caption) + " (continued)" * continued, style="bold")
+    return Group(title, shown)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from difffric.commands import figures
 from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.diagnosis.misfit import describe_misfits
+from difffric.diagnosis.next_experiment import Experiment
 from difffric.diagnosis.verdict import ADEQUATE, AMBIGUOUS, NAMED, Cause, Diagnosis
-from difffric.number_text import format_number
+from difffric.number_text import format_number, format_pair
 from difffric.units import to_mm, to_mm_min, to_um
 
 _VERDICTS = {
@@ -14,12 +15,14 @@ _VERDICTS = {
     NAMED: "The cause is named.",
     AMBIGUOUS: "There is a cause, but these data cannot tell it from others.",
 }
+_TELLS = 1.0
+"""Expected standard deviations between two effects below which a push tells nothing of them."""
 _UNEXPLAINED = "The misfit is real, and no effect of the catalogue explains it."
 
 
 def _format_sizes(cause: Cause) -> str:
     return "; ".join(
-        f"{name} = {format_number(value)} ± {format_number(error, 2)}"
+        f"{name} = {' ± '.join(format_pair(value, error))}"
         for name, (value, error) in cause.parameters.items()
     )
 
@@ -79,18 +82,23 @@ def tabulate_considered(found: Diagnosis, gain: str = "gain on held-out pushes")
     return Table("The leading effects, each alone on top of the plain model", columns, rows)
 
 
+def _list_experiments(found: Diagnosis) -> list[Experiment]:
+    """Return the pushes that would tell something: others are proposed where none does."""
+    return [one for one in found.experiments if one.separation >= _TELLS]
+
+
 def tabulate_experiments(found: Diagnosis) -> Table:
     """Return a table of the pushes that would tell more."""
     rows = [
         [
-            " from ".join(x if x != "plain" else "none of them" for x in one.separates),
+            " from ".join(x if x != "plain" else "the plain model" for x in one.separates),
             format_number(to_mm_min(one.velocity_m_per_s)),
             format_number(one.mass_kg, 3),
             "–" if one.stroke_m is None else format_number(to_mm(one.stroke_m), 3),
             format_number(one.rest_before_s, 3),
             format_number(one.separation, 2),
         ]
-        for one in found.experiments
+        for one in _list_experiments(found)
     ]
     columns = (
         "to tell apart",
@@ -118,8 +126,11 @@ def _advise(found: Diagnosis) -> list[str]:
             f"Look at the {found.location.component.replace('_', ' ')} of the rig: nothing in the "
             "catalogue explains the misfit there. The figure shows the form that it has."
         )
-    if found.experiments:
-        lines.append(f"To tell more, make another push: {found.experiments[0]}.")
+    experiments = _list_experiments(found)
+    if experiments and found.verdict == AMBIGUOUS:
+        lines.append(f"Make another push, which tells more: {experiments[0]}.")
+    elif experiments:
+        lines.append("For what these data cannot say, see the pushes under “What to push next”.")
     if found.remaining is not None:
         lines.append(
             "Take the standard errors as too small: what is left beside the noise is not in them."
@@ -132,7 +143,7 @@ def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
     g, left = found.gain, found.remaining
     summary = [] if left is None else [f"{str(left).capitalize()}."]
     summary.append(_VERDICTS.get(found.verdict, _UNEXPLAINED))
-    summary += [f"{cause.id}: {cause.text}." for cause in found.causes]
+    summary += [f"{cause.id}: {cause.text} ({_format_sizes(cause)})." for cause in found.causes]
     summary.append(
         f"On pushes that the fit has not seen, the model's error is {format_number(g.after, 3)} "
         f"times the noise; without the causes it is {format_number(g.before, 3)} times "
@@ -239,7 +250,7 @@ def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
     reasons += [
         [name, "at its typical size it leaves too small a trace in these pushes"] for name in unseen
     ]
-    if found.experiments:
+    if _list_experiments(found):
         sections.append(Section("What to push next", tables=(tabulate_experiments(found),)))
     if reasons:
         table = Table("Effects that these data cannot show", ("effect", "why"), reasons)
