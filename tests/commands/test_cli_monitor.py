@@ -123,7 +123,7 @@ def test_a_run_in_parts_is_one_run(run, given, tmp_path):
     run(given / "all.csv", "--setup", setup, "--out", tmp_path / "whole")
     part = rows(given, 30, tmp_path / "all.csv")
     first = run(part, "--setup", setup, "--state", state)
-    assert first.code == 0 and first.out.startswith("No alarm in 30 pushes.")
+    assert first.code == 0 and first.out.startswith("There is no alarm in 30 pushes.")
     rows(given, 80, part)
     second = run(part, "--setup", setup, "--state", state, "--out", tmp_path / "parts")
     assert second.code == 3 and "30 recognised" in second.out

@@ -1,6 +1,6 @@
 // What a figure's panels hold: lines, marks, areas and texts that move with the values.
 const create = (tag, attributes, parent) => {
-  const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
+  const made = document.createElementNS(document.querySelector("svg").namespaceURI, tag);
   for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
   parent?.append(made);
   return made;

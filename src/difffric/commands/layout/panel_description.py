@@ -19,6 +19,7 @@ from matplotlib.ticker import FixedFormatter
 _CELLS = 80
 """Cells of a coloured map in each direction whose values are kept, at most."""
 _DIGITS = 6
+"""Significant digits of a point with an error bar: as many as the read-out shows."""
 
 
 def describe_panel(ax: Axes, place: str, size: tuple[float, float]) -> dict[str, Any]:

@@ -65,7 +65,11 @@ def draw_svg(figure: Figure, name: str) -> SvgFigure:
         for part in [x for x in group if x.tag in (f"{{{_SVG}}}metadata", f"{{{_SVG}}}style")]:
             group.remove(part)
     return SvgFigure(
-        ET.tostring(root, encoding="unicode"), panels, colours.found, round(width / 0.75)
+        # HTML needs no name space, and the page names no address.
+        ET.tostring(root, encoding="unicode").replace(f' xmlns="{_SVG}"', ""),
+        panels,
+        colours.found,
+        round(width / 0.75),
     )
 
 

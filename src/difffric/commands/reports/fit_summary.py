@@ -39,7 +39,7 @@ def summarise_fit(fit: Fit) -> list[str]:
         lines.append(f"{reached} of {of} starting points led to this result.")
     lines += [f"Note: {note}." for note in fit.notes]
     if fit.skipped:
-        lines.append(f"{len(fit.skipped)} pushes were skipped; they are listed below.")
+        lines.append(f"Skipped: {len(fit.skipped)} of the data; the last table says why.")
     return lines
 
 

@@ -150,7 +150,7 @@ def _summarise(found: Identified, answer: dict) -> list[str]:
         lines.append(answer["stroke"])
     lines += [f"Note: {note}." for note in found.notes]
     if found.skipped:
-        lines.append(f"{len(found.skipped)} pushes were skipped; they are listed below.")
+        lines.append(f"Skipped: {len(found.skipped)} of the data; the last table says why.")
     return lines
 
 
