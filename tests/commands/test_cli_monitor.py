@@ -132,7 +132,7 @@ def test_a_run_in_parts_is_one_run(run, given, tmp_path):
     assert (parts["counted_before"], parts["recognised"], parts["counted"]) == (30, 30, 80)
     kept = state.read_bytes()
     third = run(part, "--setup", setup, "--state", state)
-    assert third.code == 0 and third.out.startswith("No alarm in 0 pushes.")
+    assert third.code == 0 and third.out.startswith("There is no alarm in 0 pushes.")
     assert state.read_bytes() == kept
 
 
