@@ -123,7 +123,7 @@ def test_a_run_in_parts_is_one_run(run, given, tmp_path):
     run(given / "all.csv", "--setup", setup, "--out", tmp_path / "whole")
     part = rows(given, 30, tmp_path / "all.csv")
     first = run(part, "--setup", setup, "--state", state)
-    assert first.code == 0 and first.out.startswith("No alarm in 30 pushes.")
+    assert first.code == 0 and first.out.startswith("There is no alarm in 30 pushes.")
     rows(given, 80, part)
     second = run(part, "--setup", setup, "--state", state, "--out", tmp_path / "parts")
     assert second.code == 3 and "30 recognised" in second.out
@@ -132,7 +132,7 @@ def test_a_run_in_parts_is_one_run(run, given, tmp_path):
     assert (parts["counted_before"], parts["recognised"], parts["counted"]) == (30, 30, 80)
     kept = state.read_bytes()
     third = run(part, "--setup", setup, "--state", state)
-    assert third.code == 0 and third.out.startswith("No alarm in 0 pushes.")
+    assert third.code == 0 and third.out.startswith("There is no alarm in 0 pushes.")
     assert state.read_bytes() == kept
 
 

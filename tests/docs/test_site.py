@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.browser import WIDTHS, browser, faults, needs_chromium
+from tests.browser import SCHEMES, WIDTHS, browser, faults, needs_chromium
 from tests.public import public_names
 
 __all__ = ["browser"]  # a fixture
@@ -99,9 +99,11 @@ def test_broken_links_and_formulas_fail_the_site(tmp_path):
 
 @needs_chromium
 @pytest.mark.parametrize("page", PAGES)
-def test_pages_show_at_both_widths(browser, site, page):
+def test_pages_show_at_both_widths_and_in_both_schemes(browser, site, page):
+    path = site / f"{page}.html"
     for width in WIDTHS:
-        assert faults(browser, site / f"{page}.html", width, scope="article") == [], width
+        for scheme in SCHEMES:
+            assert faults(browser, path, width, "article", scheme) == [], (width, scheme)
 
 
 @needs_chromium

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.table import Table as RichTable
-from rich.text import Text
 
 from difffric.commands import reports
+from difffric.commands.layout.json_output import is_json_asked
+from difffric.commands.layout.terminal_tables import lay_out
 from difffric.errors import InputError
 from difffric.name_text import make_printable
 from difffric.output_folder import check_writable
@@ -21,10 +21,7 @@ from difffric.progress import Tell
 from difffric.timings import Timings, keep_timings
 
 if TYPE_CHECKING:
-    from difffric.commands.reports.page import Report, Table
-
-_WIDEST = 200
-"""Characters of a printed table: no table of ours needs more."""
+    from difffric.commands.reports.page import Report
 
 
 def open_console(*, stderr: bool = False) -> Console:
@@ -89,50 +86,45 @@ def print_and_write(
     timings: Timings | None = None,
     notes: Sequence[str] = (),
 ) -> None:
-    """Print the report's summary and tables; write the folder where one was asked for.
+    """Print the report's summary, tables and advice; write the folder where one was asked for.
 
-    `notes`: what was converted as the data were read; they stand first, and in result.json.
-
-    `files` are written beside result.json, report.html and the figures; `timings`, where there are
-    any, stand in result.json.
+    `notes`: what was converted as the data were read; they stand after the verdict, and in
+    result.json. `files` are written beside result.json, report.html and the figures; `timings`,
+    where there are any, stand in result.json. With `--json` what result.json holds is printed, and
+    nothing else.
     """
     if notes:
         told = [f"Data: {note}." for note in dict.fromkeys(notes)]
         report = replace(report, summary=[*told, *report.summary])
         answer = {**answer, "data_notes": [*dict.fromkeys(notes)]}
+    if timings is not None:
+        answer = {**answer, "timings": timings.as_dict()}
+    if is_json_asked():
+        sys.stdout.write(reports.page.format_answer(answer))
+        sys.stdout.flush()
+    else:
+        _print_report(report)
+    if out is not None:
+        reports.page.write_folder(out, answer, report, files)
+        names = ", ".join(["result.json", "report.html", *(files or {}), "figures"])
+        if not is_json_asked():
+            open_console().print(f"written to {out}: {names}")
+
+
+def print_next(command: str) -> None:
+    """Print the command that comes next, in one line that can be copied."""
+    if not is_json_asked():
+        open_console().print(f"next: {command}", soft_wrap=True)
+
+
+def _print_report(report: Report) -> None:
+    """Print what a report says, within the terminal's width."""
     console = open_console()
-    own_width = console.width
     for line in report.summary:
         console.print(make_printable(line))
     for section in report.sections:
         for table in section.tables:
-            shown = _lay_out(table)
-            # Numbers are not to be broken where a terminal is narrow: it wraps whole lines.
-            needed = console.measure(shown, options=console.options.update(width=_WIDEST)).maximum
-            console.width = max(own_width, needed)
-            console.print(shown)
-    console.width = own_width
-    if out is not None:
-        if timings is not None:
-            answer = {**answer, "timings": timings.as_dict()}
-        reports.page.write_folder(out, answer, report, files)
-        names = ", ".join(["result.json", "report.html", *(files or {}), "figures"])
-        console.print(f"written to {out}: {names}")
-
-
-def _lay_out(table: Table) -> RichTable:
-    """A report's table as a terminal shows it: the first column to the left, numbers right."""
-    shown = RichTable(
-        title=table.caption,
-        title_justify="left",
-        title_style="bold",
-        box=SIMPLE_HEAD,
-        padding=0,
-        pad_edge=False,
-        collapse_padding=True,
-    )
-    for i, column in enumerate(table.columns):
-        shown.add_column(Text(column), justify="left" if i == 0 else "right", overflow="fold")
-    for row in table.rows:
-        shown.add_row(*(Text(make_printable(cell)) for cell in row))
-    return shown
+            for shown in lay_out(table.caption, table.columns, table.rows, console.width):
+                console.print(shown)
+    for line in report.advice:
+        console.print(f"Next: {make_printable(line)}")

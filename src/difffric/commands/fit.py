@@ -12,8 +12,8 @@ from difffric.commands import reports
 from difffric.commands.console import (
     check_out,
     check_setup_stays,
-    open_console,
     print_and_write,
+    print_next,
     show_progress,
 )
 from difffric.commands.options import (
@@ -120,4 +120,4 @@ def fit(
     print_and_write(report, answer.as_dict(), out, files, tell.timings, loaded.notes)
     if out is not None and found.converged:
         fitted = out / "setup.toml"
-        open_console().print(f"next: difffric identify {data} --setup {fitted}", soft_wrap=True)
+        print_next(f"difffric identify {data} --setup {fitted}")

@@ -17,6 +17,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
+from difffric.commands.layout.json_output import add_json_option
 from difffric.compute.programs import private_folder
 from difffric.errors import DifffricError, InputError
 
@@ -43,6 +44,9 @@ COMMANDS = {
 
 FIRST_STEPS = ("check", "init")
 """Those that lie in the folder `first_steps`."""
+
+WITHOUT_RESULT = ("init", "warm")
+"""Those that write no result.json."""
 
 _GARBAGE = 100_000
 """Objects made between two collections of garbage: what is imported and compiled stays to the end,
@@ -80,7 +84,10 @@ def load_command(name: str) -> Any:
     function = getattr(importlib.import_module(f"difffric.commands.{folder}{name}"), name)
     alone = typer.Typer(**_LIKE_ALL)
     alone.command(name, help=COMMANDS[name])(function)
-    return typer.main.get_command(alone)
+    command = typer.main.get_command(alone)
+    if name not in WITHOUT_RESULT:
+        add_json_option(command)
+    return command
 
 
 def _list_only() -> None:

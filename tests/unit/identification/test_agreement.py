@@ -53,7 +53,7 @@ def test_the_mean_of_break_aways_holds_the_truth_though_the_position_creeps():
     assert describe_friction(found, rig)["notes"] == list(found.notes)
     report = report_friction(found, describe_friction(found, rig), recordings, pictures=False)
     assert any("do not fit" in line for line in report.summary)
-    assert "chi²" in report.sections[0].tables[0].columns
+    assert "reduced chi²" in report.sections[0].tables[0].columns
 
 
 def test_recordings_that_the_model_follows_are_taken_as_they_are():

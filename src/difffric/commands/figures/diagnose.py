@@ -6,7 +6,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from difffric.commands.figures.style import STYLE, make_figure, write_name
+from difffric.commands.figures.style import STYLE, make_figure, name_curve, write_name
 from difffric.diagnosis.location import Location
 from difffric.diagnosis.misfit import Misfit
 from difffric.diagnosis.verdict import Diagnosis
@@ -80,7 +80,8 @@ def _one(ax, one: Misfit, causes: bool) -> None:
     x = np.arange(len(one.at)) if named else scale * np.array(one.at, float)
     for y, colour, there in ((one.before, _BEFORE, True), (one.after, _AFTER, causes)):
         if there:
-            ax.plot(x, y, "o" if named else "o-", ms=4, lw=1, color=colour)
+            label = name_curve("plain model" if colour == _BEFORE else "with its causes")
+            ax.plot(x, y, "o" if named else "o-", ms=4, lw=1, color=colour, label=label)
     ax.axhline(1.0, color="0.5", lw=1, ls=":")
     every = [*one.before, *(one.after if causes else ())]
     if max(every) > 30 * max(min(every), 0.1):
@@ -107,7 +108,9 @@ def draw_residuals(found: Diagnosis, shown: int = 3) -> Figure:
                 for fits, colour in ((state.plain, _BEFORE), (state.extended, _AFTER)):
                     if fits is state.extended and not found.causes:
                         continue
-                    ax.plot(t, fits.residual[0, i, k][there], color=colour, lw=0.9, alpha=0.8)
+                    label = name_curve("plain model" if colour == _BEFORE else "with its causes")
+                    y = fits.residual[0, i, k][there]
+                    ax.plot(t, y, color=colour, lw=0.9, alpha=0.8, label=label)
                 ax.axhline(0.0, color="0.5", lw=0.8)
                 ax.set_xlim(t[0], t[-1])
                 if k == 0:

@@ -18,6 +18,7 @@ from difffric.commands.figures.style import (
     STYLE,
     group_by_condition,
     make_figure,
+    name_curve,
     write_name,
 )
 from difffric.units import to_mm_min, to_um
@@ -59,13 +60,19 @@ def draw_pushes(fit: Fit, beside: PushComparison) -> Figure:
                     ax.plot(v[mine], model, "+", color="#222", ms=7, mew=1)
                     continue
                 y = scale[j] * (curves.peak_force, curves.sliding_distance)[j]
-                ax.plot(to_mm_min(speeds), y[:, 1], color=colour, lw=1)
+                ax.plot(
+                    to_mm_min(speeds), y[:, 1], color=colour, lw=1,
+                    label=name_curve("model", condition),
+                )  # fmt: skip
                 if fit.scatter > 0:
                     ax.fill_between(
                         to_mm_min(speeds), y[:, 0], y[:, 2], color=colour, alpha=0.2, lw=0
                     )
             for ax, j in zip(axes[1], panels, strict=True):
-                ax.plot(v[mine], beside.residual[j, mine], marker, color=colour, ms=5, mfc="none")
+                ax.plot(
+                    v[mine], beside.residual[j, mine], marker, color=colour, ms=5, mfc="none",
+                    label=name_curve(condition),
+                )  # fmt: skip
         for top, bottom, j in zip(*axes, panels, strict=True):
             top.set_ylabel(labels[j])
             positive = beside.measured[j][np.isfinite(beside.measured[j])]
@@ -150,7 +157,7 @@ def _trace(top, bottom, trace: TraceComparison, scale: float, force: bool) -> No
     )
     top.plot(t[seen], scale * trace.model[seen], color="#b4532a", lw=0.8, label="model")
     bottom.axhspan(-2, 2, color="#999", alpha=0.15, lw=0)
-    bottom.plot(t[seen], trace.residual[seen], ".", color="#1f6f8b", ms=2, mew=0)
+    bottom.plot(t[seen], trace.residual[seen], ".", color="#1f6f8b", ms=2, mew=0, label="_residual")
     largest = max(4.0, 1.1 * np.nanmax(np.abs(trace.residual[seen]), initial=0.0))
     bottom.set_ylim(-largest, largest)
     for ax in (top, bottom):

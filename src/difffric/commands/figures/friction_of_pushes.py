@@ -15,6 +15,7 @@ from difffric.commands.figures.style import (
     STYLE,
     group_by_condition,
     make_figure,
+    name_curve,
     write_name,
 )
 
@@ -38,7 +39,9 @@ def draw_friction_of_pushes(
                 mean, spread = means[condition]
                 ends = np.array([order[mine].min() - 0.4, order[mine].max() + 0.4])
                 band = mean * (1 - spread), mean * (1 + spread)
-                ax.plot(ends, [mean, mean], color=colour, lw=0.8)
+                ax.plot(
+                    ends, [mean, mean], color=colour, lw=0.8, label=name_curve("mean", condition)
+                )
                 ax.fill_between(ends, *band, color=colour, alpha=0.15, lw=0)
             ax.errorbar(
                 order[mine],

@@ -10,7 +10,7 @@ import matplotlib.ticker
 import numpy as np
 from matplotlib.figure import Figure
 
-from difffric.commands.figures.style import COLOURS, STYLE, make_figure
+from difffric.commands.figures.style import COLOURS, STYLE, make_figure, name_curve
 from difffric.identification.surrogates import PUBLISHED_DISTANCE, PUBLISHED_FORCE
 from difffric.rig import parameters
 from difffric.simulation.columns import observe_columns
@@ -77,7 +77,8 @@ def draw_families(family: Family, what: str, measured: Paper | None = None) -> F
                 printed = to_mm(PUBLISHED_DISTANCE.sliding_distance(family.velocity, mu))
             colour = matplotlib.colormaps["viridis"](n / max(len(shown) - 1, 1) * 0.9)
             ax.plot(v, model, color=colour, label=rf"$\mu_s$ = {mu:.2f}")
-            ax.plot(v, printed, color=colour, ls="--", lw=0.8)
+            paper = name_curve("the paper", f"mu_s = {mu:.2f}")
+            ax.plot(v, printed, color=colour, ls="--", lw=0.8, label=paper)
         if measured is not None:
             _draw_measured(ax, measured, force)
         ax.plot(

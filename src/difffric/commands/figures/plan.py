@@ -24,7 +24,7 @@ def draw_speeds(found: Plan, known: Known) -> Figure:
     first, step = found.options, found.next
     v = to_mm_min(first.velocity)
     figure, (top, middle, bottom) = make_figure(rows=3, width=7.6, height=6.0, sharex=True)
-    top.plot(v, first.probability[0], "o-", color=_BLUE)
+    top.plot(v, first.probability[0], "o-", color=_BLUE, label="_probability")
     top.axhline(0.99, color=_GREY, ls=":", lw=1)
     top.set_ylabel(f"probability of landing\nwithin {to_um(known.within):g} µm")
     top.set_ylim(-0.03, 1.05)
@@ -34,7 +34,7 @@ def draw_speeds(found: Plan, known: Known) -> Figure:
     middle.set_ylabel("standard deviation of\nthe landing, by source [µm]")
     middle.set_yscale("log")
     middle.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-    bottom.plot(v, to_um(first.stroke[0]), "o-", color=_BLUE)
+    bottom.plot(v, to_um(first.stroke[0]), "o-", color=_BLUE, label="_stroke")
     bottom.set_ylabel("stroke of the tip [µm]")
     bottom.set_xlabel("speed [mm/min]")
     bottom.set_xscale("log")

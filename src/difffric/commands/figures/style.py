@@ -40,6 +40,11 @@ def write_name(name: str, most: int = 24) -> str:
     return f" {line}" if line.startswith("_") else line
 
 
+def name_curve(*words: str) -> str:
+    """Return the label of a curve that a page's read-out names and a legend leaves out."""
+    return "_" + ", ".join(filter(None, map(write_name, words)))
+
+
 def choose_colours(conditions: Sequence[str]) -> dict[str, str]:
     """Return a colour for each condition, in order of appearance; DRY and OILY have their own."""
     names = list(dict.fromkeys(conditions))

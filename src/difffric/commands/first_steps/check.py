@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difffric as df
 from difffric.commands import reports
-from difffric.commands.console import check_out, open_console, print_and_write, show_progress
+from difffric.commands.console import check_out, print_and_write, print_next, show_progress
 from difffric.commands.options import (
     Channel,
     Data,
@@ -42,4 +42,4 @@ def check(
         answer = reports.check.describe_check(found, known)
         report = reports.check.report_check(found, known, rig, out is not None)
     print_and_write(report, answer, out, timings=tell.timings, notes=loaded.notes)
-    open_console().print(f"next: difffric fit {data} --setup {setup} --out DIR", soft_wrap=True)
+    print_next(f"difffric fit {data} --setup {setup} --out DIR")

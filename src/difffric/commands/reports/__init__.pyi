@@ -5,6 +5,7 @@ from . import diagnose as diagnose
 from . import export as export
 from . import family as family
 from . import fit as fit
+from . import fit_summary as fit_summary
 from . import fleet as fleet
 from . import fleet_diagnosis as fleet_diagnosis
 from . import identify as identify

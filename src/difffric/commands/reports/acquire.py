@@ -194,10 +194,10 @@ def _describe_friction(found: LivePush | None) -> dict:
 def report_run(answer: dict, run: Run, pictures: bool = False) -> Report:
     """Return the report of what was recorded; with figures where there are to be pictures."""
     lost = answer["lost_samples"]
-    source = "simulated" if answer["simulated"] else "of the card"
+    source = "of a simulated card" if answer["simulated"] else "of the card"
     summary = [
-        f"{len(answer['pushes'])} pushes {source} at {answer['rate_Hz']:g} Hz, {answer['samples']} "
-        f"samples, in {answer['file']}",
+        f"{len(answer['pushes'])} pushes {source} were recorded at {answer['rate_Hz']:g} Hz, with "
+        f"{answer['samples']} samples, into {answer['file']}.",
         f"{lost} samples were lost: those recordings end early." if lost else "No sample was lost.",
     ]
     if answer["stroke"]:
@@ -211,28 +211,32 @@ def report_run(answer: dict, run: Run, pictures: bool = False) -> Report:
         bool(x.troubles or (y and y.problems)) for x, y in zip(run.acquired, run.found, strict=True)
     )
     if wrong:
-        summary.append(f"Something is wrong with {wrong} of the pushes: see the notes.")
+        summary.append(f"Something is wrong with {wrong} of the pushes; the notes say what.")
     tables = [_tabulate_recorded(answer)]
     if any(run.found):
         tables.append(_tabulate_friction(answer))
     if told:
-        tables.append(Table("Notes", ("push", ""), told))
+        tables.append(Table("Notes", ("push", "note"), told))
     drawn = []
     if pictures and len(run.first) == 2:
         drawn.append(
             Picture(
                 "strokes",
-                "Force over two strokes in a row; dotted: time between them is left out.",
+                "The force over two strokes in a row. At the dotted line the time between them is "
+                "left out.",
                 figures.acquire.draw_strokes(run.first),
             )
         )
-    return Report("Recorded pushes", summary, [Section("Pushes", (), tables, drawn)])
+    advice = ["Give the file to difffric fit to calibrate, or to difffric identify for mu_s."]
+    if wrong or lost:
+        advice.insert(0, "Mend what the notes name, and record those pushes again.")
+    return Report("Recorded pushes", summary, [Section("Pushes", (), tables, drawn)], advice)
 
 
 def _tabulate_recorded(answer: dict) -> Table:
-    columns = ["push", "mm/min", "stroke [mm]", "samples", "lost"]
+    columns = ["push", "speed [mm/min]", "stroke [mm]", "samples", "lost samples"]
     if answer["simulated"]:
-        columns += ["mu_s", "F_p [N]", "d [µm]"]
+        columns += ["true mu_s", "true F_p [N]", "true d [µm]"]
     rows = []
     for push in answer["pushes"]:
         row = [
@@ -263,7 +267,16 @@ def _tabulate_friction(answer: dict) -> Table:
         ]
         row += [_format_estimate(push[way]) for way in _WAYS]
         rows.append([*row, format_number(1e3 * push["answered_after_s"], 3)])
-    columns = ("push", "F_p [N]", "d [µm]", "force", "distance", "(7)", "optimal", "after [ms]")
+    columns = (
+        "push",
+        "F_p [N]",
+        "d [µm]",
+        "mu_s from force",
+        "from distance",
+        "by equation (7)",
+        "optimal",
+        "known after [ms]",
+    )
     return Table("mu_s of each push, as soon as it had ended", columns, rows)
 
 

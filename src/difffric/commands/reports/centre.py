@@ -102,9 +102,10 @@ def report_centering(
     ways, ours = answer["ways"], answer["ways"][OURS]
     within = f"{to_um(known.within):g} µm"
     summary = [
-        f"Of {ours['rings']} rings {100 * ours['centred']:.1f} % are within {within} in the end; "
-        f"median time {ours['time_median_s']:.2f} s, {ours['pushes_mean']:.2f} pushes and "
-        f"{ours['measurements_mean']:.2f} measurements on average."
+        f"In the end {100 * ours['centred']:.1f} % of {ours['rings']} rings are within {within} of "
+        "the axis.",
+        f"A ring takes {ours['time_median_s']:.2f} s in the median, with {ours['pushes_mean']:.2f} "
+        f"pushes and {ours['measurements_mean']:.2f} measurements on average.",
     ]
     rows = [
         [
@@ -117,16 +118,20 @@ def report_centering(
         ]
         for way, w in ways.items()
     ]
-    columns = ("way", "centred [%]", "median [s]", "mean [s]", "pushes", "measurements")
+    columns = (
+        "way", "centred [%]", "median time [s]", "mean time [s]", "pushes", "measurements",
+    )  # fmt: skip
     tables = [Table("Ways to centre the same rings", columns, rows)]
     bins = answer["calibration"]["bins"]
     slope, error = answer["calibration"]["slope"], answer["calibration"]["slope_standard_error"]
     if bins:
-        caption = "Stated probabilities of landing"
+        caption = "How often rings landed, by the probability that was stated before"
         if slope is not None:
-            caption += f": slope {slope:.3f} ± {error:.3f} of the outcomes over them"
+            caption += (
+                f"; the slope of the outcomes over it is {slope:.3f} ± {error:.3f}, 1 is right"
+            )
         rows = [[str(b["pushes"]), f"{b['stated']:.4f}", f"{b['seen']:.4f}"] for b in bins]
-        tables.append(Table(caption, ("pushes", "stated", "seen"), rows))
+        tables.append(Table(caption, ("pushes", "stated probability", "share that landed"), rows))
     notes = sorted({note for r in found for note in r.centering.notes if r.way == OURS})
     first = next(r for r in found if r.way == OURS)
     tables.append(_tabulate_ring(first, known))
@@ -135,25 +140,29 @@ def report_centering(
         drawn = [
             Picture(
                 "run",
-                "The first ring, by difffric: the offset after each push, where it was expected, "
-                "and what was known of mu_s.",
+                "The first ring, centred by difffric: its offset after each push, where it was "
+                "expected to be, and what was known of mu_s.",
                 figures.plan.draw_run(first.centering, known, first.path),
             ),
             Picture(
                 "times",
-                "How long each way takes to centre the rings, as shares of them; what never "
-                "reaches 1 did not centre all.",
+                "The share of the rings that each way has centred after a time. A curve that does "
+                "not reach 1 did not centre all of them.",
                 figures.plan.draw_times(
                     {way: _find_times([r for r in found if r.way == way], known) for way in ways}
                 ),
             ),
         ]
     text = (
-        "Simulated: friction is hidden and scatters from push to push. A measurement takes 2 s, a "
-        "push its own time and 1 s. Each way meets the same rings, noise and scatter.",
+        "The machine is simulated. Its friction is hidden, and scatters from push to push. A "
+        "measurement takes 2 s, a push its own time and 1 s. Each way meets the same rings, noise "
+        "and scatter.",
         *notes,
     )
-    return Report("Rings centred", summary, [Section("Rings", text, tables, drawn)])
+    advice = [
+        "Use difffric plan for the next push of a real part, with the set-up that was tried here."
+    ]
+    return Report("Rings centred", summary, [Section("Rings", text, tables, drawn)], advice)
 
 
 def _find_times(found: Sequence[CenteringRun], known: Known) -> list[float]:
@@ -176,10 +185,18 @@ def _tabulate_ring(r: CenteringRun, known: Known) -> Table:
                 format_number(to_um(float(np.hypot(*at))), 3),
             ]
         )
-    columns = ("push", "mm/min", "stroke [µm]", "aim [µm]", "lands", "mu_s", "left [µm]")
+    columns = (
+        "push",
+        "speed [mm/min]",
+        "stroke [µm]",
+        "aim [µm]",
+        "probability to land",
+        "mu_s found",
+        "true offset left [µm]",
+    )
     return Table(
-        f"The first ring: {to_um(float(np.hypot(*r.ring.offset))):.1f} µm off, mu_s "
-        f"{r.ring.mu_s:.4f}; left: in truth",
+        f"The first ring, which was {to_um(float(np.hypot(*r.ring.offset))):.1f} µm off, with a "
+        f"true mu_s of {r.ring.mu_s:.4f}",
         columns,
         rows,
     )

@@ -96,8 +96,9 @@ def report_check(found: Examined, known: Identifiability, setup: Setup, pictures
     if pictures:
         if found.recordings is not None:
             caption = (
-                "Recordings from the slowest to the fastest, as they were read; dotted: the peak "
-                "of the force, the last loss of contact, and rest, found without a model."
+                "Recordings from the slowest to the fastest, as they were read. The dotted lines "
+                "are the peak of the force, the last loss of contact, and rest, found without a "
+                "model."
             )
             drawn.append(
                 Picture(
@@ -106,7 +107,7 @@ def report_check(found: Examined, known: Identifiability, setup: Setup, pictures
                     figures.check.draw_recordings(found.recordings, found.details),
                 )
             )
-        caption = "What was measured, and, as crosses, what the set-up leads to before any fit."
+        caption = "What was measured; the crosses are what the set-up leads to before any fit."
         figure = figures.check.draw_measured(found.pushes, known)
         drawn.append(Picture("measured", caption, figure))
     sections = [
@@ -119,8 +120,12 @@ def report_check(found: Examined, known: Identifiability, setup: Setup, pictures
     ]
     if found.skipped:
         rows = [[line] for line in found.skipped]
-        sections.append(Section("Skipped", (), [Table("What was left out, and why", ("",), rows)]))
-    return Report("What would be fitted", _summarise(found, known, setup), sections)
+        sections.append(
+            Section("Skipped", (), [Table("What was left out, and why", ("what",), rows)])
+        )
+    return Report(
+        "What would be fitted", _summarise(found, known, setup), sections, _advise(found, known)
+    )
 
 
 def _summarise(found: Examined, known: Identifiability, setup: Setup) -> list[str]:
@@ -145,18 +150,33 @@ def _summarise(found: Examined, known: Identifiability, setup: Setup) -> list[st
             lines.append(f"{what} is missing in {missing} of {len(p)} {kind}.")
     open_ = [name for group in known.not_identifiable for name in group["parameters"]]
     if open_:
-        lines.append(f"Not determined by these data: {', '.join(open_)}.")
+        lines.insert(0, f"Not determined by these data: {', '.join(open_)}.")
     else:
-        lines.append("Every parameter that a fit frees by default can be determined.")
+        lines.insert(0, "These data can determine every parameter that a fit frees by default.")
     if setup.rig.pusher.stroke is None and np.isnan(p.stroke).all() and not p.free_slides:
         lines.append(NO_STROKE)
     return lines
 
 
+def _advise(found: Examined, known: Identifiability) -> list[str]:
+    """Return what to do next with the data."""
+    lines = [
+        "Look at the figures: are these the pushes that were made, and are the landmarks right?"
+    ]
+    if known.not_identifiable:
+        lines.append(
+            "Measure at other speeds, or hold what is not determined: difffric fit --free names "
+            "what is free."
+        )
+    if found.skipped:
+        lines.append("See below what was skipped, and mend the file where it should not have been.")
+    return [*lines, "Then calibrate: difffric fit takes the same data and the same set-up."]
+
+
 def _explain(known: Identifiability, recorded: bool) -> list[str]:
     text = [
-        "The standard errors that a fit of these pushes is to be expected to reach, at the "
-        "set-up's values: nothing has been fitted yet."
+        "These are the standard errors that a fit of these pushes can be expected to reach, with "
+        "the parameters at the set-up's values. Nothing has been fitted yet."
     ]
     if recorded:
         text.append(
@@ -175,8 +195,8 @@ def _tabulate_errors(known: Identifiability, setup: Setup) -> Table:
         share = None if error is None or not value else 100 * error / abs(value)
         said = "not determined" if error is None else format_number(error, 3)
         rows.append([shorten_name(label, _NAME), format_number(value, 6), said, _percent(share)])
-    columns = ("parameter", "set-up's value", "± expected", "share")
-    return Table("What a fit would tell", columns, rows)
+    columns = ("parameter [SI]", "value in the set-up", "expected error", "share of the value")
+    return Table("How well a fit would know each parameter", columns, rows)
 
 
 def _percent(share: float | None) -> str:
@@ -201,8 +221,9 @@ def _tabulate_pushes(found: Examined, known: Identifiability) -> Table:
             number, plus = format_pair(float(value), float(error))
             row += [number if plus == "–" else f"{number} ± {plus}", format_number(expected, 4)]
         rows.append([*row, _list_missing(found, i)])
-    force = [] if p.free_slides else ["F_p [N]", "set-up's"]
-    columns = ["push", "mm/min", "", *force, "d [µm]", "set-up's", ""]
+    force = [] if p.free_slides else ["F_p [N]", "F_p by the set-up [N]"]
+    columns = ["push", "speed [mm/min]", "condition", *force, "d [µm]", "d by the set-up [µm]"]
+    columns.append("what is missing")
     return Table("What was measured, and what the set-up leads to", columns, rows)
 
 

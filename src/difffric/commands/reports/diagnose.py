@@ -5,8 +5,9 @@ from __future__ import annotations
 from difffric.commands import figures
 from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.diagnosis.misfit import describe_misfits
+from difffric.diagnosis.next_experiment import Experiment
 from difffric.diagnosis.verdict import ADEQUATE, AMBIGUOUS, NAMED, Cause, Diagnosis
-from difffric.number_text import format_number
+from difffric.number_text import format_number, format_pair
 from difffric.units import to_mm, to_mm_min, to_um
 
 _VERDICTS = {
@@ -14,18 +15,20 @@ _VERDICTS = {
     NAMED: "The cause is named.",
     AMBIGUOUS: "There is a cause, but these data cannot tell it from others.",
 }
+_TELLS = 1.0
+"""Expected standard deviations between two effects below which a push tells nothing of them."""
 _UNEXPLAINED = "The misfit is real, and no effect of the catalogue explains it."
 
 
 def _format_sizes(cause: Cause) -> str:
     return "; ".join(
-        f"{name} = {format_number(value)} ± {format_number(error, 2)}"
+        f"{name} = {' ± '.join(format_pair(value, error))}"
         for name, (value, error) in cause.parameters.items()
     )
 
 
 def _format_share(x: float) -> str:
-    return f"{100 * x:.2g} %" if x > 1e-6 else "0"
+    return f"{100 * x:.2g}" if x > 1e-6 else "0"
 
 
 def _list_cause(cause: Cause) -> list[str]:
@@ -36,10 +39,9 @@ def _list_cause(cause: Cause) -> list[str]:
         format_number(cause.probability, 3),
         ", ".join(cause.confusable_with) or "–",
         format_number(cause.chi2_drop),
-        ", ".join(
-            _format_share(x)
-            for x in (cause.change_peak_force, cause.change_sliding_distance, cause.change_as_mu_s)
-        ),
+        _format_share(cause.change_peak_force),
+        _format_share(cause.change_sliding_distance),
+        _format_share(cause.change_as_mu_s),
     ]
 
 
@@ -48,13 +50,22 @@ _COLUMNS = (
     "component",
     "size",
     "probability",
-    "confusable with",
-    "drop of χ²",
-    "changes F_p, d, as mu_s",
+    "cannot be told from",
+    "fall of chi-square",
+    "change of F_p [%]",
+    "change of d [%]",
+    "as a change of mu_s [%]",
 )
 
 
-def tabulate_considered(found: Diagnosis, gain: str = "gain held out") -> Table:
+_MEANING = (
+    "The fall of chi-square says how much better the data are followed with the effect. The last "
+    "columns say how much the effect changes F_p and d (rms over the pushes), and which change of "
+    "mu_s would do as much."
+)
+
+
+def tabulate_considered(found: Diagnosis, gain: str = "gain on held-out pushes") -> Table:
     """Return a table of the leading effects, each alone on top of the plain model."""
     rows = [
         [
@@ -67,32 +78,64 @@ def tabulate_considered(found: Diagnosis, gain: str = "gain held out") -> Table:
         ]
         for cause in found.considered
     ]
-    columns = ("effect", "component", "size", "drop of -2 log L", gain, "p-value")
+    columns = ("effect", "component", "size", "fall of −2 log likelihood", gain, "p-value")
     return Table("The leading effects, each alone on top of the plain model", columns, rows)
+
+
+def _list_experiments(found: Diagnosis) -> list[Experiment]:
+    """Return the pushes that would tell something: others are proposed where none does."""
+    return [one for one in found.experiments if one.separation >= _TELLS]
 
 
 def tabulate_experiments(found: Diagnosis) -> Table:
     """Return a table of the pushes that would tell more."""
     rows = [
         [
-            " or ".join(x if x != "plain" else "nothing" for x in one.separates),
+            " from ".join(x if x != "plain" else "the plain model" for x in one.separates),
             format_number(to_mm_min(one.velocity_m_per_s)),
             format_number(one.mass_kg, 3),
             "–" if one.stroke_m is None else format_number(to_mm(one.stroke_m), 3),
             format_number(one.rest_before_s, 3),
             format_number(one.separation, 2),
         ]
-        for one in found.experiments
+        for one in _list_experiments(found)
     ]
     columns = (
-        "tells",
-        "v [mm/min]",
+        "to tell apart",
+        "speed [mm/min]",
         "mass [kg]",
         "stroke [mm]",
-        "rest before [s]",
-        "apart by [s.d.]",
+        "rest before it [s]",
+        "expected difference [σ]",
     )
-    return Table("The push that would tell most", columns, rows)
+    return Table("The pushes that would tell most", columns, rows)
+
+
+def _advise(found: Diagnosis) -> list[str]:
+    """Return what to do next with a diagnosis."""
+    lines = []
+    if found.verdict == NAMED:
+        lines.append(
+            "Use the extended setup.toml, which --out writes, with all other commands: it holds "
+            "the causes."
+        )
+    elif found.verdict == ADEQUATE:
+        lines.append("Go on with this model: difffric fit calibrates it, identify gives mu_s.")
+    elif found.location:
+        lines.append(
+            f"Look at the {found.location.component.replace('_', ' ')} of the rig: nothing in the "
+            "catalogue explains the misfit there. The figure shows the form that it has."
+        )
+    experiments = _list_experiments(found)
+    if experiments and found.verdict == AMBIGUOUS:
+        lines.append(f"Make another push, which tells more: {experiments[0]}.")
+    elif experiments:
+        lines.append("For what these data cannot say, see the pushes under “What to push next”.")
+    if found.remaining is not None:
+        lines.append(
+            "Take the standard errors as too small: what is left beside the noise is not in them."
+        )
+    return lines
 
 
 def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
@@ -100,35 +143,50 @@ def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
     g, left = found.gain, found.remaining
     summary = [] if left is None else [f"{str(left).capitalize()}."]
     summary.append(_VERDICTS.get(found.verdict, _UNEXPLAINED))
-    summary += [f"{cause.id}: {cause.text}." for cause in found.causes]
+    summary += [f"{cause.id}: {cause.text} ({_format_sizes(cause)})." for cause in found.causes]
     summary.append(
-        f"Error on held-out pushes, in units of the noise: {format_number(g.before, 3)} before, "
-        f"{format_number(g.after, 3)} after ({format_number(g.noise_floor, 3)} is perfect)."
+        f"On pushes that the fit has not seen, the model's error is {format_number(g.after, 3)} "
+        f"times the noise; without the causes it is {format_number(g.before, 3)} times "
+        f"({format_number(g.noise_floor, 3)} is perfect)."
+        if found.causes
+        else "On pushes that the fit has not seen, the model's error is "
+        f"{format_number(g.before, 3)} times the noise ({format_number(g.noise_floor, 3)} is "
+        "perfect)."
     )
     if found.location:
         where = found.location
         summary.append(
-            f"The misfit sits in: {where.component.replace('_', ' ')}. A curve over the "
+            f"The misfit lies in the {where.component.replace('_', ' ')}: a free curve over the "
             f"{where.quantity} explains {100 * where.explained[where.form]:.0f} % of it."
         )
     if found.causes:
         moved = format_number(100 * found.change_mu_s, 2)
-        summary.append(f"The identified mu_s changes by {moved} % (rms over the pushes).")
+        summary.append(
+            f"With the causes the identified mu_s changes by {moved} % (rms of the pushes)."
+        )
     sections = []
     if found.causes:
         table = Table(
-            "Causes, by how much they change F_p and d",
+            "What was added to the model",
             _COLUMNS,
             [_list_cause(c) for c in found.causes],
         )
-        sections.append(Section("Causes", tables=(table,)))
+        sections.append(Section("Causes", (_MEANING,), (table,)))
     if found.negligible:
         table = Table(
             "Detected, too small to matter", _COLUMNS, [_list_cause(c) for c in found.negligible]
         )
-        sections.append(Section("Negligible", tables=(table,)))
+        text = (
+            "The data show these effects, but they change F_p, d and mu_s by less than matters "
+            "(--matters): they were not added to the model.",
+        )
+        sections.append(Section("Too small to matter", text, (table,)))
     if found.considered:
-        sections.append(Section("What was considered", tables=(tabulate_considered(found),)))
+        text = (
+            "Each effect was tried by itself. The gain is by how much it lowers the error on "
+            "pushes that were held out of the fit.",
+        )
+        sections.append(Section("What was considered", text, (tabulate_considered(found),)))
     if found.certificates:
         rows = [
             [
@@ -140,8 +198,8 @@ def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
             for x in found.certificates
         ]
         table = Table(
-            "Distances that no k, b and k_v give",
-            ("push", "v [mm/min]", "d [µm]", "at most [µm]"),
+            "Distances that no k, b and k_v can give",
+            ("push", "speed [mm/min]", "d [µm]", "largest possible d [µm]"),
             rows,
         )
         sections.append(Section("Beyond the plain model", tables=(table,)))
@@ -152,15 +210,16 @@ def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
             drawn.append(
                 Picture(
                     "misfit",
-                    "Where the plain model misses, push by push.",
+                    "How far the model misses each push: the plain model in red, with its causes "
+                    "in blue.",
                     figures.diagnose.draw_misfit(found),
                 )
             )
         drawn.append(
             Picture(
                 "where",
-                "Squared residuals per number, in units of the noise, over what changes "
-                "(red: plain, blue: with its causes).",
+                "Squared residuals over what changes during a push and between pushes, in units of "
+                "the noise: the plain model in red, with its causes in blue.",
                 figures.diagnose.draw_where(found),
             )
         )
@@ -168,8 +227,8 @@ def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
             drawn.append(
                 Picture(
                     "residuals",
-                    "Residuals of the pushes that the plain model fits worst "
-                    "(red: plain, blue: with its causes).",
+                    "Residuals of the pushes that the plain model follows worst: the plain model "
+                    "in red, with its causes in blue.",
                     figures.diagnose.draw_residuals(found),
                 )
             )
@@ -177,8 +236,8 @@ def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
             drawn.append(
                 Picture(
                     "location",
-                    "What each component would explain if it were free to bend, and "
-                    "the correction of the one that explains most.",
+                    "Left: the share of the misfit that each component explains if it may take any "
+                    "form. Right: the form of the one that explains most.",
                     figures.diagnose.draw_location(found.location),
                 )
             )
@@ -188,12 +247,15 @@ def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
         )
     unseen = [x for x in found.not_visible if x not in found.impossible]
     reasons = [[name, why] for name, why in found.impossible.items()]
-    reasons += [[name, "too small a trace in these pushes at its typical size"] for name in unseen]
-    if found.experiments:
+    reasons += [
+        [name, "at its typical size it leaves too small a trace in these pushes"] for name in unseen
+    ]
+    if _list_experiments(found):
         sections.append(Section("What to push next", tables=(tabulate_experiments(found),)))
     if reasons:
-        table = Table("Not to be seen in these data", ("effect", "why"), reasons)
-        sections.append(Section("What these data cannot say", tables=(table,)))
+        table = Table("Effects that these data cannot show", ("effect", "why"), reasons)
+        text = ("Whether these effects are there or not, these pushes cannot say.",)
+        sections.append(Section("What these data cannot say", text, (table,)))
     if found.notes:
         sections.append(Section("Notes", found.notes))
-    return Report("Diagnosis", tuple(summary), tuple(sections))
+    return Report("Diagnosis", tuple(summary), tuple(sections), _advise(found))

@@ -79,21 +79,21 @@ def report_predictor(exported: Exported, rig: Rig) -> Report:
         for name in (*QUANTITIES, "either")
     ]
     columns = (
-        "from",
-        "bound [%]",
-        "worst tried [%]",
-        "determined [% of box]",
-        "answered [% of box]",
-        "missed [% of box]",
+        "mu_s from",
+        "proven bound on the error [%]",
+        "largest error seen [%]",
+        "determined [% of the box]",
+        "answered [% of the box]",
+        "missed [% of the box]",
         "cells",
     )
-    table = Table("Error of mu_s, and where there is an answer", columns, rows)
+    table = Table("The error of mu_s, and where there is an answer", columns, rows)
     box = p.box
     summary = [
         state_error(exported),
-        f"Box: {to_mm_min(box.slowest):g} to {to_mm_min(box.fastest):g} mm/min, mu_s "
-        f"{box.least_mu_s:g} to {box.most_mu_s:g}. One of F_p and d gives mu_s in "
-        f"{format_percent(exported.answered['either'], 4)} % of it.",
+        f"The box goes from {to_mm_min(box.slowest):g} to {to_mm_min(box.fastest):g} mm/min and "
+        f"from mu_s = {box.least_mu_s:g} to {box.most_mu_s:g}. In "
+        f"{format_percent(exported.answered['either'], 4)} % of it F_p or d gives mu_s.",
     ]
     if rig.pusher.stroke is None:
         summary.append(NO_STROKE)
@@ -103,22 +103,26 @@ def report_predictor(exported: Exported, rig: Rig) -> Report:
             "several mu_s: there the predictor takes none from d."
         )
     text = [
-        "Determined: the reading is monotone in mu_s, changes by at least "
+        "mu_s is determined where the reading is monotone in it, changes by at least "
         f"{100 * exported.least_elasticity:g} % of itself for a relative change of mu_s of 1, and "
-        "no other mu_s of the box gives the same. Missed: determined, and yet without an answer.",
+        "no other mu_s of the box gives the same reading. It is missed where it is determined and "
+        "the predictor yet gives no answer.",
         "The errors are those of the polynomials against the model. What the model's own "
         "parameters are uncertain by is not in them, nor in the variances that the C function "
         "gives: those are the readings' alone.",
     ]
     picture = Picture(
         "predictor",
-        "Error over the box, and which readings are used.",
+        "The error over the box of speeds and mu_s, and which readings are used where.",
         figures.predictor.draw_predictor(exported, rig),
     )
     use = [
-        "predictor.c and predictor.h: C99, one function. golden.csv: readings and what it must "
-        "give: cc -std=c99 -O2 -DDIFFFRIC_SELFTEST predictor.c -o selftest && ./selftest "
-        "golden.csv. predictor.json: the same polynomials.",
+        "predictor.c and predictor.h hold one function in C99, predictor.json the same "
+        "polynomials. golden.csv holds readings and what the function must give for them.",
+    ]
+    advice = [
+        "Test the function where it will run: cc -std=c99 -O2 -DDIFFFRIC_SELFTEST predictor.c "
+        "-o selftest && ./selftest golden.csv"
     ]
     sections = [Section("Error", text, [table], [picture]), Section("Files", use)]
-    return Report("Predictor for the controller", summary, sections)
+    return Report("Predictor for the controller", summary, sections, advice)

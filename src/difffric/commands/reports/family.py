@@ -62,26 +62,32 @@ def report_family(answer: dict, family: Family, rig: Rig) -> Report:
     misfit = answer["misfit"]
     none = int(np.isnan(family.sliding_distance).sum())
     summary = [
-        f"(3) misses the model by {format_number(misfit['peak_force_rms_N'], 3)} N rms, (5) by "
-        f"{format_number(to_um(misfit['sliding_distance_rms_m']), 3)} µm rms.",
-        f"Inverted, (4) misses mu_s by {format_number(misfit['mu_s_by_4_rms'], 2)} rms and (6) by "
-        f"{format_number(misfit['mu_s_by_6_rms'], 2)} rms, where it answers at all "
-        f"({100 * misfit['mu_s_by_6_answered']:.0f} % of the grid).",
+        "Equation (3) follows the model's F_p to "
+        f"{format_number(misfit['peak_force_rms_N'], 3)} N (rms), and equation (5) its d to "
+        f"{format_number(to_um(misfit['sliding_distance_rms_m']), 3)} µm (rms).",
+        "Their inverses, (4) and (6), give mu_s to "
+        f"{format_number(misfit['mu_s_by_4_rms'], 2)} and "
+        f"{format_number(misfit['mu_s_by_6_rms'], 2)} (rms); (6) gives an answer for "
+        f"{100 * misfit['mu_s_by_6_answered']:.0f} % of the pushes.",
     ]
     if none:
         summary.append(f"The part never leaves the tip in {none} of {family.regime.size} pushes.")
     if rig.pusher.stroke is None:
         summary.append(NO_STROKE)
-    table = Table("Surrogate coefficients [N, mm/min, µm]", ("", "fitted", "published"), rows)
+    table = Table(
+        "Coefficients of equations (3) and (5) [N, mm/min, µm]",
+        ("coefficient", "fitted", "published"),
+        rows,
+    )
     pictures = [
         Picture(
             "figure_II_5",
-            "F_p over speed; dashed: published (3).",
+            "F_p over speed, a curve for each mu_s; the paper's equation (3) is dashed.",
             figures.paper.draw_families(family, "force"),
         ),
         Picture(
             "figure_II_6",
-            "d over speed; dashed: published (5).",
+            "d over speed, a curve for each mu_s; the paper's equation (5) is dashed.",
             figures.paper.draw_families(family, "distance"),
         ),
     ]

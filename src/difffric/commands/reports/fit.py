@@ -19,6 +19,7 @@ from difffric.calibration.profiles import Profile
 from difffric.calibration.profiles import profile as profiled
 from difffric.calibration.result import Fit
 from difffric.commands import figures
+from difffric.commands.reports.fit_summary import advise, describe_next, summarise_fit
 from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.errors import InputError
 from difffric.number_text import format_number, format_pair
@@ -102,9 +103,9 @@ def report_fit(answer: Answer, pictures: bool) -> Report:
         Section(
             "Parameters",
             (
-                "Standard errors come from the noise as it is known or estimated, and from the "
-                "scatter of mu_s; they are not scaled by the reduced chi-square, except in the "
-                "last column.",
+                "The standard errors come from the noise, as it is known or estimated, and from "
+                "the scatter of mu_s. The last column alone is scaled by the root of the reduced "
+                "chi-square: it is what they would be if the noise were as large as the residuals.",
             ),
             [_tabulate_parameters(fit), *_tabulate_open(fit), *_tabulate_correlations(fit)],
             _draw_correlations(fit) if pictures else (),
@@ -122,36 +123,23 @@ def report_fit(answer: Answer, pictures: bool) -> Report:
     )
     if fit.noise:
         sections.append(
-            Section("Noise", ("Estimated where nothing moves.",), [_tabulate_noise(fit)])
+            Section(
+                "Noise", ("The noise was estimated where nothing moves.",), [_tabulate_noise(fit)]
+            )
         )
     if answer.next_push is not None or answer.no_next_push:
         sections.append(_report_next(answer))
     if fit.skipped:
         rows = [[line] for line in fit.skipped]
-        sections.append(Section("Skipped", (), [Table("What was left out, and why", ("",), rows)]))
-    return Report("Calibration", [*_summarise(fit), *_describe_next(answer)], sections)
-
-
-def _summarise(fit: Fit) -> list[str]:
-    reached, of = fit.starts_at_optimum
-    kind = {"slides": "free slides"}.get(fit.kind, f"pushes ({fit.kind})")
-    beside = f", {fit.left_out} more beside jumps left out" if fit.left_out else ""
-    starts = f"; {reached} of {of} starts reach this optimum" if of else ""
-    lines = [
-        f"{len(fit.mu_s)} {kind}, {fit.samples} measured numbers{beside}.",
-        f"Reduced chi-square {fit.reduced_chi2:.4g} (chi-square {fit.chi2:.6g}, "
-        f"{fit.degrees_of_freedom} degrees of freedom).",
-        ("Converged" if fit.converged else "Did NOT converge") + starts + ".",
-    ]
-    if "mu_s" in fit.names:
-        value, error = format_pair(100 * fit.scatter, 100 * fit.scatter_se)
-        error = " (not estimated)" if error == "–" else f" ± {error}"
-        lines.append(f"mu_s scatters from push to push by {value}{error} %.")
-    lines += [f"Not determined: {', '.join(x['parameters'])}." for x in fit.not_identifiable]
-    lines += [f"Note: {note}." for note in fit.notes]
-    if fit.skipped:
-        lines.append(f"Skipped: {len(fit.skipped)}, listed below.")
-    return lines
+        sections.append(
+            Section("Skipped", (), [Table("What was left out, and why", ("what",), rows)])
+        )
+    return Report(
+        "Calibration",
+        summarise_fit(fit),
+        sections,
+        advise(fit, answer.next_push, answer.no_next_push),
+    )
 
 
 def _tabulate_parameters(fit: Fit) -> Table:
@@ -167,7 +155,9 @@ def _tabulate_parameters(fit: Fit) -> Table:
         rows.append(
             [label, shown, se if error else "at bound", relative, ends, format_number(scaled, 3)]
         )
-    columns = ("SI units", "value", "± s.e.", "%", "95 % interval", "s.e. scaled")
+    columns = (
+        "parameter [SI]", "value", "standard error", "error [%]", "95 % interval", "scaled error",
+    )  # fmt: skip
     spreads = [
         ("mu_s_scatter", fit.scatter, fit.scatter_se),
         ("spread of F_p [N]", fit.spread_force, math.nan),
@@ -188,7 +178,7 @@ def _format_percent(error, value) -> str:
 
 def _tabulate_open(fit: Fit) -> list[Table]:
     rows = [[", ".join(x["parameters"]), x["reason"]] for x in fit.not_identifiable]
-    return [Table("Not determined by these data", ("", "why"), rows)] if rows else []
+    return [Table("Not determined by these data", ("parameter", "why"), rows)] if rows else []
 
 
 def _tabulate_correlations(fit: Fit) -> list[Table]:
@@ -200,19 +190,23 @@ def _tabulate_correlations(fit: Fit) -> list[Table]:
         if j > i and abs(correlation[i, j]) > 0.1
     ]
     rows = [[a, b, f"{c:+.3f}"] for a, b, c in sorted(pairs, key=lambda x: -abs(x[2]))]
-    return [Table("Correlations above 0.1", ("", "and", ""), rows)] if rows else []
+    return (
+        [Table("Correlations above 0.1", ("parameter", "and", "correlation"), rows)] if rows else []
+    )
 
 
 def _describe_residuals(fit: Fit) -> str:
     if fit.kind == "recordings":
         return (
-            "Residuals of F_p and d are in standard errors of what the recording says without a "
-            "model, at the push's own mu_s from all its samples. The last column is the mean "
-            "squared residual of its samples in units of the noise."
+            "A residual is what was measured less what the model gives, in standard errors. Here "
+            "F_p and d are those that the recording shows without a model, and the model has the "
+            "push's own mu_s, found from all of its samples. “Squared residual” is the mean over "
+            "the push's samples in units of the noise: 1 is perfect."
         )
     return (
-        "Residuals are taken at the mean mu_s, in standard deviations of the noise and the "
-        "scatter together; the model's columns have the push's own mu_s."
+        "A residual is what was measured less what the model gives with the mean mu_s, in standard "
+        "deviations of the noise and the scatter together. The columns of the model have the "
+        "push's own mu_s."
     )
 
 
@@ -243,10 +237,10 @@ def _tabulate_pushes(answer: Answer) -> Table:
         if np.any(fit.start):
             row.append(f"{1e6 * fit.start[i]:+.2f}")
         rows.append(row)
-    columns = ["push", "mm/min", "", "own mu_s"]
-    columns += [] if fit.kind == "slides" else ["F_p [N]", "model", "[σ]"]
-    columns += ["d [µm]", "model", "[σ]"]
-    columns += [] if chi2 is None else ["chi²/n"]
+    columns = ["push", "speed [mm/min]", "condition", "own mu_s"]
+    columns += [] if fit.kind == "slides" else ["F_p [N]", "model F_p [N]", "residual of F_p [σ]"]
+    columns += ["d [µm]", "model d [µm]", "residual of d [σ]"]
+    columns += [] if chi2 is None else ["squared residual"]
     columns += ["start [µs]"] if np.any(fit.start) else []
     return Table("Each push", columns, rows)
 
@@ -258,13 +252,16 @@ def _tabulate_noise(fit: Fit) -> Table:
         scale, unit = units.get(name, (1.0, ""))
         colour = "white" if noise["correlation"] < 0.02 else f"AR(1), {noise['correlation']:.3f}"
         rows.append([name, format_number(scale * noise["standard_deviation"], 4, unit), colour])
-    return Table("Noise of a sample", ("", "standard deviation", "colour"), rows)
+    return Table("Noise of a sample", ("channel", "standard deviation", "colour"), rows)
 
 
 def _draw_correlations(fit: Fit) -> list[Picture]:
     if len(fit.free) < 3:
         return []
-    caption = "Correlations of the free parameters."
+    caption = (
+        "How the errors of the free parameters go together: 1 or −1 means that the data tell only "
+        "a combination of two."
+    )
     return [Picture("correlations", caption, figures.fit.draw_correlations(fit))]
 
 
@@ -273,13 +270,17 @@ def _draw_pushes(answer: Answer) -> list[Picture]:
     found = [
         Picture(
             "pushes",
-            "Measured (one standard error) and calibrated model over speed; shaded: the scatter of "
-            "mu_s. Below: residuals; shaded: ±2.",
+            "F_p and d over speed: what was measured, with bars of one standard error, and the "
+            "calibrated model, whose shaded band is the scatter of mu_s. The residuals below "
+            "should mostly lie in the shaded band of ±2.",
             figures.fit.draw_pushes(fit, answer.beside),
         )
     ]
     if "mu_s" in fit.names:
-        caption = "Each push's own mu_s, one standard error; shaded: mean ± scatter."
+        caption = (
+            "Each push's own mu_s with a bar of one standard error; the band is the mean ± the "
+            "scatter."
+        )
         found.append(Picture("mu_s", caption, figures.fit.draw_own_friction(fit, answer.order)))
     if fit.kind == "recordings":
         shown = {}
@@ -287,7 +288,10 @@ def _draw_pushes(answer: Answer) -> list[Picture]:
             v = to_mm_min(answer.beside.velocity[i])
             title = f"{answer.names[i] or f'push {i + 1}'}: {v:g} mm/min {fit.conditions[i]}"
             shown[title.rstrip()] = compare_trace(fit, i)
-        caption = "Recorded and calibrated, with the whitened residuals below; shaded: ±2."
+        caption = (
+            "Recordings and the calibrated model; below each the residuals, freed of the noise's "
+            "colour, which should mostly lie in the shaded band of ±2."
+        )
         found.append(Picture("traces", caption, figures.fit.draw_traces(shown)))
     return found
 
@@ -309,39 +313,34 @@ def _report_profiles(answer: Answer, pictures: bool) -> Section:
         why = [f"{s}: {r}" for s, r in zip(("lower", "upper"), one.reasons, strict=True) if r]
         rows.append([*row, "; ".join([*why, *([one.note] if one.note else [])])])
     levels = next(iter(answer.profiles.values())).intervals
-    columns = ("SI units", "value", *(f"{100 * x:g} %" for x in levels), "")
+    columns = ("parameter [SI]", "value", *(f"{100 * x:g} %" for x in levels), "remark")
     text = (
-        "Each parameter is held and everything else fitted anew: the interval ends where "
-        "chi-square has risen by the square of t.",
+        "For each interval one parameter is held at a value and all others are fitted anew. The "
+        "interval ends where chi-square has risen by t², the square of Student's t of its level.",
     )
     drawn = []
     if pictures:
-        caption = "Rise of chi-square; dashed: what the standard error says."
+        caption = (
+            "How chi-square rises where one parameter is held at another value. The dashed curve "
+            "is what the standard error alone would say."
+        )
         drawn.append(
             Picture("profiles", caption, figures.fit.draw_profiles(answer.fit, answer.profiles))
         )
     return Section("Profile-likelihood intervals", text, [Table("Intervals", columns, rows)], drawn)
 
 
-def _describe_next(answer: Answer) -> list[str]:
-    best = answer.next_push
-    if best is None:
-        return [f"Next push: none: {answer.no_next_push}."] if answer.no_next_push else []
-    which = f", {best.condition}," if best.condition else ""
-    return [
-        f"Next push: {to_mm_min(best.velocity):.0f} mm/min with {best.mass:.4g} kg{which} would "
-        f"say most of all parameters together: expected F_p {best.peak_force:.4g} N, "
-        f"d {to_um(best.sliding_distance):.4g} µm."
-    ]
-
-
 def _report_next(answer: Answer) -> Section:
-    best, text = answer.next_push, _describe_next(answer)
+    best, text = answer.next_push, describe_next(answer.next_push, answer.no_next_push)
     if best is None:
         return Section("Next push", text)
     text += [f"Note: {note}." for note in best.notes]
     rows = [
         [x, format_number(se, 3), format_number(best.after[x], 3)] for x, se in best.before.items()
     ]
-    table = Table("Next push: standard errors [SI]", ("", "now", "with this push"), rows)
+    table = Table(
+        "Standard errors [SI], without and with the next push",
+        ("parameter", "now", "with this push"),
+        rows,
+    )
     return Section("Next push", text, [table])

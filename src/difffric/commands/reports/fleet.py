@@ -92,15 +92,16 @@ def report_fleet(fleet: Fleet, answer: dict, pictures: bool) -> Report:
         drawn.append(
             Picture(
                 "mu_s_by_date",
-                "mu_s of each rig, the mean of each day's pushes; bars: one standard deviation "
-                "between them. Rigs beyond the twelve with most days are grey.",
+                "mu_s of each rig, a point for the mean of each day's pushes; the bars are one "
+                "standard deviation between them. Rigs beyond the twelve with most days are grey.",
                 figures.fleet.draw_by_date(days),
             )
         )
     text = (
-        "mu_s of a push is the optimal combination of force and distance, of a free slide that of "
-        "its release speed and distance. Means count each push once; their standard errors come "
-        "from how the pushes differ, without the calibration's, which they share.",
+        "mu_s of a push is the optimal combination of what force and distance tell, and that of a "
+        "free slide what its release speed and distance tell. Means count each push once. Their "
+        "standard errors come from how the pushes differ; the calibration's error, which all "
+        "pushes share, is not in them.",
     )
     sections = [Section("Rigs", text, [_tabulate_rigs(answer)], drawn)]
     left_out = [
@@ -113,10 +114,17 @@ def report_fleet(fleet: Fleet, answer: dict, pictures: bool) -> Report:
         note = (f"The first {_LISTED} of {len(left_out)}; all stand in bad.csv.",) * (rest > 0)
         table = Table("What could not be used, and why", _COLUMNS, left_out[:_LISTED])
         sections.append(Section("Left out", note, [table]))
-    return Report("A fleet's friction", _write_summary(fleet, answer), sections)
+    advice = []
+    if answer["apart"]:
+        advice.append("Run difffric diagnose on the archive: it looks for what the model lacks.")
+    if answer["bad_files"] or answer["skipped_pushes"]:
+        advice.append("See bad.csv for the files and pushes that could not be used, and why.")
+    if not advice:
+        advice.append(f"Read {DATA_SET}, which holds all pushes, with any tool for Parquet.")
+    return Report("A fleet's friction", _write_summary(fleet, answer), sections, advice)
 
 
-_COLUMNS = ("rig", "file", "", "reason")
+_COLUMNS = ("rig", "file", "what", "reason")
 
 
 def _write_summary(fleet: Fleet, answer: dict) -> list[str]:
@@ -148,5 +156,16 @@ def _tabulate_rigs(answer: dict) -> Table:
         days = " to ".join(dict.fromkeys(x for x in (row["first_date"], row["last_date"]) if x))
         counts = (str(row[k]) for k in ("files", "bad_files", "pushes", "identified", "apart"))
         rows.append([row["rig"], *counts, mean, error, format_number(spread, 3), days or "–"])
-    columns = ("rig", "files", "bad", "pushes", "with mu_s", "F, d apart", "mean mu_s", "± s.e.")
-    return Table("By rig", (*columns, "spread [%]", "dates"), rows)
+    columns = (
+        "rig",
+        "files",
+        "bad files",
+        "pushes",
+        "with mu_s",
+        "force and distance contradict",
+        "mean mu_s",
+        "standard error",
+        "spread [%]",
+        "dates",
+    )
+    return Table("The rigs", columns, rows)

@@ -115,12 +115,24 @@ def report_fleet_diagnosis(found: FleetDiagnosis, pictures: bool) -> Report:
     sections = []
     if found.found.shared:
         rows = [row for one in found.found.shared for row in _list_shared(one)]
-        columns = ("effect", "rigs", "number", "pooled", "± s.e.", "between rigs", "Q", "p of Q")
-        text = (
-            "Pooled: the mean weighted by each rig's own error and by how much the rigs differ "
-            "(between rigs). p of Q: how often equal sizes would differ as much by chance.",
+        columns = (
+            "effect",
+            "rigs",
+            "parameter",
+            "pooled value",
+            "standard error",
+            "spread between rigs",
+            "Q",
+            "p-value of Q",
         )
-        sections.append(Section("Shared effects", text, [Table("Shared", columns, rows)]))
+        text = (
+            "The pooled value is the mean, weighted by each rig's own error and by the spread "
+            "between the rigs. The p-value of Q says how often rigs with equal sizes would differ "
+            "as much by chance.",
+        )
+        sections.append(
+            Section("Shared effects", text, [Table("Effects that rigs share", columns, rows)])
+        )
     drawn = []
     if pictures and found.found.rows:
         drawn.append(Picture("effects", _CAPTION, _draw_matrix(found)))
@@ -136,7 +148,7 @@ def report_fleet_diagnosis(found: FleetDiagnosis, pictures: bool) -> Report:
         for rig, a in sorted(found.answers.items())
     ]
     columns = ("rig", "files", "pushes", "verdict", "causes", "differs by")
-    tables = [Table("By rig", columns, rows)]
+    tables = [Table("The rigs", columns, rows)]
     if len(found.differ) > LINES:
         every = [[x.rig, describe_difference(found, x)] for x in found.differ]
         tables.append(Table("Rigs that differ", ("rig", "how"), every))
@@ -147,18 +159,21 @@ def report_fleet_diagnosis(found: FleetDiagnosis, pictures: bool) -> Report:
     if left_out:
         table = Table("What could not be used, or was left out", ("rig", "why"), left_out)
         sections.append(Section("Left out", (), [table]))
-    return Report("A fleet's diagnosis", summarise(found), sections)
+    advice = ["Look first at the rigs that differ, then at what all of them share."]
+    if found.bad:
+        advice.append("See below which rigs could not be diagnosed, and why.")
+    return Report("A fleet's diagnosis", summarise(found), sections, advice)
 
 
 _CAPTION = (
-    "Each rig's evidence for each effect beside those it names, and on top that of all rigs "
-    "together, corrected for the number of effects. Detailed answers of each rig lie in "
+    "The evidence of each rig for each effect, beside those that it names. The row on top is that "
+    "of all rigs together, corrected for the number of effects. The answers of each rig lie in "
     f"{RIGS}/."
 )
 _EVIDENCE = (
-    "Chi-squares of all rigs that can tell an effect, summed; every effect by itself, so that one "
-    "that is there speaks for those that look like it, too. One rig and two rigs: the probability "
-    "that chance gives as much where none has it, and where one at most has."
+    "For each effect the chi-squares of all rigs that can tell it are summed. Every effect stands "
+    "by itself, so that one that is there speaks for those that look like it, too. The p-values "
+    "say how often chance gives as much where no rig has the effect, and where one at most has it."
 )
 
 
@@ -196,11 +211,11 @@ def _tabulate_evidence(found: FleetDiagnosis, most: int = 12) -> Table:
         "effect",
         "named",
         "possible",
-        "χ²",
-        "numbers",
-        "p, one rig",
-        "p, two rigs",
-        "rigs at least",
+        "chi-square",
+        "degrees of freedom",
+        "p-value for any rig",
+        "p-value for two rigs",
+        "rigs that have it, at least",
     )
     return Table("Summed over the rigs, the leading effects", columns, rows)
 

@@ -17,6 +17,8 @@ from difffric.number_text import format_number, format_pair
 from difffric.rig.rig import Rig
 from difffric.units import to_mm_min
 
+_APART = 3.0
+"""Standard errors between force and distance that chance does not give a push."""
 _NAME = 40
 """Letters of a name that a table has room for; result.json has it whole."""
 
@@ -100,22 +102,26 @@ def report_friction(
         drawn = [
             Picture(
                 "mu_s_ways",
-                "mu_s of each push by each way to it, one standard error; dotted: mean of the best "
-                "estimates; crossed out: a whole recording that the model does not follow.",
+                "mu_s of each push, a panel for each way to find it, with bars of one standard "
+                "error. The dotted line is the mean of the best estimates; a cross marks a "
+                "recording that the model does not follow.",
                 figures.identify.draw_identified(found, velocity),
             ),
             Picture(
                 "mu_s",
-                "The best estimate of each push; shaded: mean ± spread of its condition.",
+                "The best estimate of each push. The band is the mean of its condition ± the "
+                "spread of its pushes.",
                 figures.identify.draw_best_estimates(found, order, answer["conditions"]),
             ),
         ]
     text = (
-        "The best estimate is from the whole recording where there is one that fits (its "
-        "chi-square, 1 to the noise, is shown where one does not), else the optimal combination of "
-        "force and distance, else the free slide. A push's standard error carries "
-        "the calibration's; that of a condition's mean comes from how its pushes differ and from "
-        "the calibration's error, which they share.",
+        "Each push has one best estimate of mu_s. It comes from the whole recording where there is "
+        "one that the model follows, else from the optimal combination of force and distance, else "
+        "from the free slide. Where the model does not follow a recording, the table shows its "
+        "reduced chi-square, which is 1 where it does.",
+        "The standard error of a push contains that of the calibration. The standard error of a "
+        "condition's mean comes from how its pushes differ, and from the calibration's error, "
+        "which they share.",
     )
     sections = [
         Section(
@@ -124,25 +130,51 @@ def report_friction(
     ]
     if found.skipped:
         rows = [[line] for line in found.skipped]
-        sections.append(Section("Skipped", (), [Table("What was left out, and why", ("",), rows)]))
-    return Report("Identified friction", _summarise(found, answer), sections)
+        sections.append(
+            Section("Skipped", (), [Table("What was left out, and why", ("what",), rows)])
+        )
+    return Report("Identified friction", _summarise(found, answer), sections, _advise(found))
 
 
 def _summarise(found: Identified, answer: dict) -> list[str]:
-    lines = []
+    known = sum(p.best.value is not None for p in found)
+    lines = [f"Each of the {known} pushes gives mu_s."]
+    if known < len(found):
+        lines = [f"{known} of {len(found)} pushes give mu_s; the table says why the others do not."]
     for condition, of in answer["conditions"].items():
         value, error = format_pair(of["mean"], of["standard_error"])
         spread = "" if of["spread"] is None else f", spread {100 * of['spread']:.2g} %"
         name = f"{shorten_name(condition, _NAME)}: " if condition else ""
         lines.append(f"{name}mu_s = {value} ± {error} ({of['pushes']} pushes{spread})")
-    none = sum(p.best.value is None for p in found)
-    if none:
-        lines.append(f"{none} of {len(found)} pushes give no mu_s: the table says why.")
     if answer["stroke"] and any(not np.isnan(p.velocity) for p in found):
         lines.append(answer["stroke"])
     lines += [f"Note: {note}." for note in found.notes]
     if found.skipped:
-        lines.append(f"Skipped: {len(found.skipped)}, listed below.")
+        lines.append(f"Skipped: {len(found.skipped)} of the data; the last table says why.")
+    return lines
+
+
+def _advise(found: Identified) -> list[str]:
+    """Return what to do next with identified pushes."""
+    apart = [p for p in found if p.disagreement is not None and abs(p.disagreement) > _APART]
+    misfits = sum(p.misfits for p in found)
+    lines = []
+    if misfits or 3 * len(apart) > len(found):
+        why = (
+            f"the model does not follow {misfits} of the recordings"
+            if misfits
+            else f"force and distance of {len(apart)} pushes contradict each other"
+        )
+        lines.append(f"Run difffric diagnose on these data: {why}.")
+    if any(p.best.value is None for p in found):
+        lines.append(
+            "See in the last column of the table why a push gives no mu_s, and repeat it otherwise."
+        )
+    if not lines:
+        lines.append(
+            "Use the mean of each condition. difffric monitor watches whether it stays, difffric "
+            "plan finds the push that brings a part to its target."
+        )
     return lines
 
 
@@ -168,10 +200,12 @@ def _tabulate_pushes(found: Identified, velocity: NDArray) -> Table:
         words = [p.reason or ""]
         if p.alternatives:
             others = [x for x in p.alternatives if x != p.mu_s_distance.value]
-            words.append(f"d also from {', '.join(format_number(x, 3) for x in others)}")
+            other = ", ".join(format_number(x, 3) for x in others)
+            words.append(f"the same d follows from mu_s = {other}, too")
         rows.append([*row, "; ".join(x for x in words if x)])
-    measures = ["chi²"] * bad + ["F − d [σ]"] * both
-    columns = ["push", "mm/min", "", *(WAYS[way] for way in ways), *measures, ""]
+    measures = ["reduced chi²"] * bad + ["force − distance [σ]"] * both
+    columns = ["push", "speed [mm/min]", "condition", *(WAYS[way] for way in ways)]
+    columns += [*measures, "remark"]
     return Table("mu_s of each push", columns, rows)
 
 
@@ -182,5 +216,5 @@ def _tabulate_conditions(answer: dict) -> Table:
         spread = None if of["spread"] is None else 100 * of["spread"]
         name = shorten_name(condition, _NAME) or "all"
         rows.append([name, str(of["pushes"]), value, error, format_number(spread, 3)])
-    columns = ("", "pushes", "mean mu_s", "± s.e.", "spread [%]")
-    return Table("By condition (best estimates, weighted)", columns, rows)
+    columns = ("condition", "pushes", "mean mu_s", "standard error", "spread [%]")
+    return Table("The weighted mean of the best estimates of each condition", columns, rows)

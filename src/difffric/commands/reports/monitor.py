@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable
 from typing import NamedTuple
 
 from difffric.commands import figures
+from difffric.commands.layout.json_output import is_json_asked
 from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table
 from difffric.errors import InputError
 from difffric.monitoring.alarms import Alarm
@@ -51,7 +53,7 @@ def format_alarm(monitor: Monitor, alarm: Alarm, words: str) -> str:
     """Return the line that tells an alarm: where, what may have changed, and since when."""
     places = {x.number: x for x in monitor.kept}
     at, since = _format_place(places, alarm.push), _format_place(places, alarm.change)
-    return f"ALARM at {at}: {words}; since {since} ({alarm.kind})"
+    return f"ALARM at {at}: {words}; the change began at {since} ({alarm.kind})"
 
 
 def make_teller(feed: Feed) -> Callable[[PushRecord], None]:
@@ -61,7 +63,8 @@ def make_teller(feed: Feed) -> Callable[[PushRecord], None]:
         if seen.alarm:
             alarm = feed.monitor.alarms[-1]
             words = conclude(alarm.causes(feed.monitor.reader))[1]
-            print(format_alarm(feed.monitor, alarm, words), flush=True)
+            where = sys.stderr if is_json_asked() else sys.stdout
+            print(format_alarm(feed.monitor, alarm, words), flush=True, file=where)
 
     return tell_alarm
 
@@ -203,7 +206,7 @@ def report_monitor(
     new = monitor.count - feed.before
     lines = [format_alarm(monitor, x.alarm, x.words) for x in alarms if x.alarm.push > feed.before]
     if not lines:
-        lines = [f"No alarm in {new} pushes."]
+        lines = [f"There is no alarm in {new} pushes."]
     again = f", {feed.seen_again} recognised and not counted again" if feed.seen_again else ""
     lines.append(
         f"{new} new pushes, {monitor.count} in all{again}. While nothing changes, a false alarm "
@@ -218,40 +221,50 @@ def report_monitor(
             Picture(
                 "monitor",
                 "Above: mu_s of each push, and the state of its part at the part's first speed. "
-                "Middle: what mu_s cannot explain, against the pushes before. Below: the evidence "
-                "of a change. Lines: alarms; dotted: estimated changes.",
+                "Middle: what mu_s cannot explain, compared with the pushes before. Below: the "
+                "evidence of a change. A line is an alarm, a dotted line an estimated change.",
                 figures.monitor.draw_charts(monitor),
             )
         )
     text = (
-        "Each push is held against those before of the same part, speed and stroke. The state "
-        "follows about ten pushes; its standard error is that of the level, without the "
-        "calibration's.",
+        "Each push is compared with those before of the same part, speed and stroke. The state is "
+        "the level of mu_s that the last ten pushes or so show; its standard error leaves out that "
+        "of the calibration.",
     )
     causes = [_tabulate_causes(alarms)] if alarms else []
     tables = [_tabulate_last(answer)]
     lost = [x for x in answer["pushes"] if x["reason"]]
     if lost:
         rows = [[str(x["number"]), x["name"] or "–", x["reason"]] for x in lost[-_SHOWN:]]
-        tables.append(Table("Not identified", ("push", "", ""), rows))
+        tables.append(Table("Pushes that give no mu_s", ("push", "name", "why"), rows))
     if feed.skipped:
-        tables.append(Table("Left out", ("",), [[line] for line in feed.skipped]))
+        tables.append(Table("What was left out", ("what",), [[line] for line in feed.skipped]))
     sections = [
         Section("State", text, [_tabulate_states(answer), *causes], drawn),
         Section("Pushes", (), tables),
     ]
-    return Report("Watched machine", lines, sections)
+    return Report("Watched machine", lines, sections, _advise(feed))
+
+
+def _advise(feed: Feed) -> list[str]:
+    """Return what to do next with a watched machine."""
+    if not find_new_alarms(feed):
+        return ["Nothing has to be done. Give the next pushes to difffric monitor as they come."]
+    return [
+        "Look at the machine for what may have changed; the table names it with its probability.",
+        "If the change is meant to stay, calibrate anew with difffric fit on pushes after it.",
+    ]
 
 
 def _tabulate_causes(alarms: list[ExplainedAlarm]) -> Table:
     rows = []
     for x in alarms:
-        for k, c in enumerate(x.causes):
+        for c in x.causes:
             change, error = format_pair(100 * c.change, c.standard_error and 100 * c.standard_error)
             rows.append(
                 [
-                    str(x.alarm.push) if k == 0 else "",
-                    str(x.alarm.change) if k == 0 else "",
+                    str(x.alarm.push),
+                    str(x.alarm.change),
                     c.words.rsplit(" ", 4)[0] if c.standard_error else c.words.rsplit(" ", 2)[0],
                     change if error == "–" else f"{change} ± {error}",
                     format_number(c.drop, 4),
@@ -260,13 +273,13 @@ def _tabulate_causes(alarms: list[ExplainedAlarm]) -> Table:
                 ]
             )
     columns = (
-        "alarm at",
-        "change at",
-        "candidate",
+        "alarm at push",
+        "change at push",
+        "what may have changed",
         "change [%]",
-        "chi² drop",
+        "fall of chi²",
         "probability",
-        "p of what is left",
+        "p-value of the rest",
     )
     return Table("What may have changed", columns, rows)
 
@@ -284,7 +297,11 @@ def _tabulate_states(answer: dict) -> Table:
                 speeds or "–",
             ]
         )
-    return Table("State", ("part", "mass [kg]", "mu_s", "speeds since the last alarm"), rows)
+    return Table(
+        "The state of each part",
+        ("part", "mass [kg]", "mu_s", "speeds since the last alarm [mm/min]"),
+        rows,
+    )
 
 
 def _tabulate_last(answer: dict) -> Table:
@@ -304,5 +321,14 @@ def _tabulate_last(answer: dict) -> Table:
                 format_number(x["evidence"], 2),
             ]
         )
-    columns = ("push", "mm/min", "part", "mu_s", "state", "mu_s [σ]", "contrast [σ]", "evidence")
+    columns = (
+        "push",
+        "speed [mm/min]",
+        "part",
+        "mu_s",
+        "state",
+        "change of mu_s [σ]",
+        "change of contrast [σ]",
+        "evidence",
+    )
     return Table("The last pushes", columns, rows)

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import base64
 import io
 import json
 import os
 import tempfile
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from difffric.commands.layout.table_columns import holds_numbers, leave_out_empty
 from difffric.output_folder import open_folder, to_json_types
 
 if TYPE_CHECKING:
@@ -31,6 +31,15 @@ class Table:
     caption: str
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
+
+    @property
+    def numbers(self) -> list[bool]:
+        """Whether each column holds numbers."""
+        return [holds_numbers(cells) for cells in zip(*self.rows, strict=True)]
+
+    def leave_out_empty(self) -> Table:
+        """Return the table without columns that say nothing."""
+        return Table(self.caption, *leave_out_empty(self.columns, self.rows))
 
 
 @dataclass(frozen=True)
@@ -54,11 +63,17 @@ class Section:
 
 @dataclass(frozen=True)
 class Report:
-    """A page: a title, what it says in a line or two, and its sections."""
+    """A page: a title, what it says, its sections, and what to do with it.
+
+    The first line of the summary is the verdict. Summary and advice are the page's first, and what
+    a reader without time reads: whole sentences.
+    """
 
     title: str
     summary: Sequence[str]
     sections: Sequence[Section] = field(default_factory=tuple)
+    advice: Sequence[str] = ()
+    """what to do next, a line for each thing"""
 
     @property
     def pictures(self) -> list[Picture]:
@@ -68,24 +83,46 @@ class Report:
 
 def render(report: Report) -> str:
     """Return the report as one HTML page, with its figures inside."""
-    import jinja2  # here, so that a command without --out starts faster
+    # Here, so that a command without --out starts faster.
+    import jinja2
 
-    template = resources.files("difffric.commands.reports").joinpath("report_template.html")
+    from difffric.commands.layout.svg_figure import draw_svg
+
+    drawn = {p.name: draw_svg(p.figure, f"figure{i}") for i, p in enumerate(report.pictures)}
+    sections = [
+        replace(one, tables=[table.leave_out_empty() for table in one.tables])
+        for one in report.sections
+    ]
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
-    page = environment.from_string(template.read_text(encoding="utf-8"))
-    images = {
-        p.name: base64.b64encode(_render_png(p.figure, 130)).decode() for p in report.pictures
-    }
-    return page.render(report=report, images=images)
+    return environment.from_string(_read("page.html")).render(
+        report=report,
+        sections=sections,
+        drawn=drawn,
+        colours={k: v for one in drawn.values() for k, v in one.colours.items()},
+        style=_read("page.css"),
+        script="\n".join(map(_read, _SCRIPTS)),
+    )
 
 
-def _render_png(figure: Figure, dpi: int) -> bytes:
+_SCRIPTS = ("figure_axes.js", "figure_parts.js", "figures.js", "tables.js")
+
+
+def _read(name: str) -> str:
+    return resources.files("difffric.commands.layout").joinpath(name).read_text(encoding="utf-8")
+
+
+def _render_png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     with warnings.catch_warnings():
         # A name in letters that the font lacks is drawn as boxes; the tables have it whole.
         warnings.filterwarnings("ignore", r"Glyph \d+")
-        figure.savefig(buffer, format="png", dpi=dpi)
+        figure.savefig(buffer, format="png", dpi=150)
     return buffer.getvalue()
+
+
+def format_answer(answer: Any) -> str:
+    """Return what result.json holds of an answer."""
+    return json.dumps(to_json_types(answer), indent=1, allow_nan=False) + "\n"
 
 
 def write_folder(
@@ -97,11 +134,9 @@ def write_folder(
     """
     contents = {
         **(files or {}),
-        "result.json": (
-            json.dumps(to_json_types(answer), indent=1, allow_nan=False) + "\n"
-        ).encode(),
+        "result.json": format_answer(answer).encode(),
+        **{f"{p.name}.png": _render_png(p.figure) for p in report.pictures},
         "report.html": render(report).encode(),
-        **{f"{p.name}.png": _render_png(p.figure, 150) for p in report.pictures},
     }
     with open_folder(folder) as path:
         with tempfile.TemporaryDirectory(dir=path, prefix=".writing-") as staging:

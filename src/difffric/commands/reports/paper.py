@@ -33,14 +33,14 @@ def report_paper(paper: Paper) -> Report:
                 [
                     Picture(
                         "explained",
-                        "F_p and d over speed: measured, by equation (2) as printed, and by the "
-                        "extended model, both at the gauge's mu_s.",
+                        "F_p and d over speed: what was measured, and what equation (2) as printed "
+                        "and the extended model give with the gauge's mu_s.",
                         figures.paper.draw_explained(paper),
                     ),
                     Picture(
                         "errors",
-                        "Error of mu_s at each speed by a calibration that has not seen it; "
-                        "crosses: the paper's own formulas.",
+                        "The error of mu_s at each speed by a calibration that has not seen it. "
+                        "The crosses are the paper's own formulas.",
                         figures.paper.draw_errors(paper),
                     ),
                 ],
@@ -52,7 +52,7 @@ def report_paper(paper: Paper) -> Report:
                 [
                     Picture(
                         "slopes",
-                        "How much F_p tells of mu_s: its derivative over speed.",
+                        "How much F_p tells about mu_s: its derivative, over the speed.",
                         figures.paper.draw_slopes(paper),
                     )
                 ],
@@ -71,8 +71,8 @@ def report_paper(paper: Paper) -> Report:
             Section(
                 "mu_s of the 24 measurements",
                 (
-                    "Each speed is judged by calibrations that have not seen it. Errors are "
-                    "against the gauge.",
+                    "Each speed is judged by calibrations that have not seen it. The errors are "
+                    "those against the gauge.",
                 ),
                 [_tabulate_rows(paper), _tabulate_weighted(paper), _tabulate_misfit(paper)],
             ),
@@ -84,6 +84,7 @@ def report_paper(paper: Paper) -> Report:
             Section("Misprints", (), [_tabulate_misprints()]),
             Section("The paper's figures", (), (), _draw_figures(paper)),
         ],
+        _advise(paper),
     )
 
 
@@ -112,10 +113,10 @@ def _summarise(paper: Paper) -> list[str]:
         "distances are longer than any k, b and k_v give; and the damper on approach that the "
         f"other distances ask for leaves {slopes['plain']['slope_N'][-1]:.0f} N of F_p's "
         f"{slopes['forces']['slope_N'][-1]:.0f} N per unit of mu_s at {_FAST:.0f} mm/min.",
-        f"What it lacks, found by the search: {'; '.join(name_part(x) for x in parts)}. With a "
+        f"The search finds what it lacks: {'; '.join(name_part(x) for x in parts)}. With a "
         f"stiffness of {k:.3g} N/m these are {len(paper.extended.fit.free)} parameters.",
-        f"Speeds left out, the error falls from {stages[0]['heldout_nrmse']:.0f} to "
-        f"{stages[-1]['heldout_nrmse']:.1f} standard errors.",
+        "On speeds that the fit has not seen, these parts lower the error from "
+        f"{stages[0]['heldout_nrmse']:.0f} to {stages[-1]['heldout_nrmse']:.1f} standard errors.",
         f"mu_s from the force errs by {force[0]:.0f} % dry and {force[1]:.0f} % oily (equation "
         f"(2): {was_F[0]:.0f} and {was_F[1]:.0f} %; the paper's (4): {theirs_F[0]:.0f} and "
         f"{theirs_F[1]:.0f} %), from the distance by {distance[0]:.0f} and {distance[1]:.0f} % "
@@ -123,6 +124,11 @@ def _summarise(paper: Paper) -> list[str]:
         f"by (7) at {_FAST:.0f} mm/min by {seven[0]:.1f} and {seven[1]:.1f} % (paper: 5.2 and "
         "2.9 %).",
     ]
+    return lines
+
+
+def _advise(paper: Paper) -> list[str]:
+    """Return what to measure next."""
     if paper.explanation.rivals:
         one = paper.proposals[0]
         best, rival = paper.explanation.best.parts, paper.explanation.rivals[0].parts
@@ -130,12 +136,12 @@ def _summarise(paper: Paper) -> list[str]:
             " and ".join(name_part(x) for x in sorted(parts))
             for parts in (best - rival, rival - best)
         )
-        lines.append(
-            f"What the data cannot settle: “{gone}” or “{instead}”. One push of a part with mu_s = "
-            f"{one.mu_s:g} at {one.velocity_mm_min:.0f} mm/min would: the two differ there by "
+        return [
+            f"Push a part with mu_s = {one.mu_s:g} once at {one.velocity_mm_min:.0f} mm/min: "
+            f"it settles what these data cannot, “{gone}” or “{instead}”. The two differ there by "
             f"{one.after:.0f} standard errors."
-        )
-    return lines
+        ]
+    return ["Record a push with its tip: the paper gives neither its stroke nor its duration."]
 
 
 def _describe_failure(paper: Paper) -> tuple[str, ...]:
@@ -198,9 +204,10 @@ def _tabulate_errors(paper: Paper) -> Table:
         for e in paper.list_errors()
     ]
     columns = (
-        "", "as printed", "(4), (6), (7)", "equation (2)", "answered", "extended", "answered",
+        "mu_s from", "as printed", "by (4), (6), (7)", "by equation (2)", "answered by (2)",
+        "by the extended model", "answered by it",
     )  # fmt: skip
-    return Table("Mean absolute error of mu_s over six speeds [%], speed left out", columns, rows)
+    return Table("Mean absolute error of mu_s over six unseen speeds [%]", columns, rows)
 
 
 def _tabulate_slopes(paper: Paper) -> Table:
@@ -222,9 +229,11 @@ def _tabulate_slopes(paper: Paper) -> Table:
             ]
         )
     rows.append(["(3) as printed", "0.0529", "146.2", *["146"] * len(at)])
-    columns = ("", "C_v [N min/mm]", "C_mu [N]", *(f"{v:.0f}" for v in at))
+    columns = ("model", "C_v [N min/mm]", "C_mu [N]", *(f"{v:.0f}" for v in at))
     return Table(
-        "Equation (3) by each model, and dF_p/dmu_s [N] at 500 to 5000 mm/min", columns, rows
+        "C_v and C_mu of equation (3) by each model, and its dF_p/dmu_s [N] at 500 to 5000 mm/min",
+        columns,
+        rows,
     )
 
 
@@ -283,8 +292,8 @@ def _tabulate_rows(paper: Paper) -> Table:
             ]
         )
     columns = (
-        "table", "v [mm/min]", "measured", "gauge", "printed", "(4) or (6)", "equation (2)",
-        "extended", "",
+        "table", "speed [mm/min]", "measured", "gauge", "printed", "by (4) or (6)",
+        "by equation (2)", "by the extended model", "remark",
     )  # fmt: skip
     return Table("Tables I-IV", columns, rows)
 
@@ -305,7 +314,7 @@ def _tabulate_weighted(paper: Paper) -> Table:
         for r in paper.list_weighted()
     ]
     columns = (
-        "", "v [mm/min]", "gauge", "printed", "(7), published", "(7), equation (2)",
+        "condition", "speed [mm/min]", "gauge", "printed", "(7), published", "(7), equation (2)",
         "(7), extended", "optimal", "force − distance [σ]",
     )  # fmt: skip
     return Table("Table V, at every speed", columns, rows)
@@ -326,10 +335,12 @@ def _tabulate_misfit(paper: Paper) -> Table:
         for m in paper.misfit()
     ]
     columns = (
-        "", "v [mm/min]", "F_p − (2) [N]", "F_p − extended [N]", "d − (2) [µm]",
-        "d − extended [µm]", "bound on d [µm]", "",
+        "condition", "speed [mm/min]", "F_p − (2) [N]", "F_p − extended [N]", "d − (2) [µm]",
+        "d − extended [µm]", "bound on d [µm]", "remark",
     )  # fmt: skip
-    return Table("Measured minus model at the gauge's mu_s", columns, rows)
+    return Table(
+        "What was measured less what each model gives with the gauge's mu_s", columns, rows
+    )
 
 
 def _tabulate_proposals(paper: Paper) -> Table:
@@ -340,7 +351,7 @@ def _tabulate_proposals(paper: Paper) -> Table:
         else:
             gain = f"{one.after:.0f} standard errors apart in {one.quantity}"
         rows.append([one.purpose, f"{one.velocity_mm_min:.0f}", f"{one.mu_s:g}", gain])
-    columns = ("to settle", "v [mm/min]", "mu_s of the part", "what one push tells")
+    columns = ("to settle", "speed [mm/min]", "mu_s of the part", "what one push tells")
     return Table("The next experiment", columns, rows)
 
 
@@ -349,7 +360,7 @@ def _tabulate_misprints() -> Table:
         [m["table"], f"{m['velocity_mm_min']:.0f}", f"{m['printed']:.3f}", f"{m['recomputed']:.4f}"]
         for m in find_misprints()
     ]
-    columns = ("table", "v [mm/min]", "printed mu_s", "by its own formula")
+    columns = ("table", "speed [mm/min]", "printed mu_s", "by its own formula")
     return Table("Printed mu_s that (4) or (6) does not give", columns, rows)
 
 

@@ -124,9 +124,9 @@ def report_plan(
     within = f"{to_um(known.within):g} µm"
     summary = [
         f"{line[0].upper()}{line[1:]}.",
-        f"It ends within {within} of the target with a probability of {step.probability:.4f}"
+        f"The part ends within {within} of the target with a probability of {step.probability:.4f}"
         + (
-            f"; after {len(found.steps)} pushes {found.probability:.4f}."
+            f"; after {len(found.steps)} pushes the probability is {found.probability:.4f}."
             if len(found.steps) > 1
             else "."
         ),
@@ -135,7 +135,7 @@ def report_plan(
     if not step.released:
         summary.append("The part is likely to rest in contact with the tip: there will be no d.")
     if step.probability < 0.99:
-        summary.append(f"What limits it: {_name_source(step.limited_by)}.")
+        summary.append(f"What limits the probability: {_name_source(step.limited_by)}.")
     rows = [
         [
             str(i),
@@ -148,24 +148,34 @@ def report_plan(
         ]
         for i, s in enumerate(found.steps, 1)
     ]
-    columns = ("push", "mm/min", "stroke [µm]", "aim [µm]", "spread [µm]", "lands", "time [s]")
+    columns = (
+        "push",
+        "speed [mm/min]",
+        "stroke [µm]",
+        "aim [µm]",
+        "spread [µm]",
+        "probability to land",
+        "time [s]",
+    )
     spread = [
         [_name_source(k), format_number(to_um(v), 3)]
         for k, v in step.deviations.items()
         if k != "all"
     ]
     tables = [
-        Table("Pushes; those after the first are what is likely then", columns, rows),
-        Table("What spreads the first push's landing", ("source", "[µm]"), spread),
+        Table("The planned pushes; those after the first are what is likely then", columns, rows),
+        Table(
+            "What spreads the first push's landing", ("source", "standard deviation [µm]"), spread
+        ),
     ]
     drawn = []
     if pictures:
         drawn = [
             Picture(
                 "speeds",
-                "The push that ends at the target, at each speed: how likely it lands within the "
-                "tolerance, how its landing spreads, and its stroke; the push that was taken is "
-                "marked.",
+                "For each speed the push that ends at the target: how likely the part lands within "
+                "the tolerance, how its landing spreads, and the stroke. A line marks the push "
+                "that was taken.",
                 figures.plan.draw_speeds(found, known),
             )
         ]
@@ -174,7 +184,11 @@ def report_plan(
         "(contact, rebound, further contacts, slide); the part may also end in contact with the "
         "tip, which then goes back and leaves it there.",
     )
-    return Report("The next push", summary, [Section("Plan", text, tables, drawn)])
+    advice = [
+        "Make the push, and measure what it gives: its F_p and d tell mu_s better for the next "
+        "plan (--mu-s, --mu-s-se)."
+    ]
+    return Report("The next push", summary, [Section("Plan", text, tables, drawn)], advice)
 
 
 def _name_source(name: str) -> str:

@@ -21,7 +21,7 @@ def report_ring(ring: Ring, angle: NDArray, radius: NDArray, pictures: bool = Tr
         ["y [µm]", *format_pair(to_um(ring.y), to_um(ring.covariance[1, 1] ** 0.5))],
         ["radius [mm]", *format_pair(to_mm(ring.radius), to_mm(ring.radius_se))],
     ]
-    tables = [Table("The ring", ("", "value", "standard error"), rows)]
+    tables = [Table("The ring", ("quantity", "value", "standard error"), rows)]
     lobes = [
         [str(n), *(f"{to_um(v):.3f} ± {to_um(e):.3f}" for v, e in zip(value, se, strict=True))]
         for n, (value, se) in enumerate(zip(ring.lobes, ring.lobes_se, strict=True), 2)
@@ -33,21 +33,31 @@ def report_ring(ring: Ring, angle: NDArray, radius: NDArray, pictures: bool = Tr
     offset, se = format_pair(to_um(ring.offset), to_um(ring.offset_se))
     direction, direction_se = format_pair(*np.degrees([ring.direction, ring.direction_se]))
     n, out = int(np.isfinite(ring.residuals).sum()), len(ring.outliers)
-    chi2 = "" if ring.reduced_chi2 is None else f", reduced chi-square {ring.reduced_chi2:.3g}"
+    chi2 = ""
+    if ring.reduced_chi2 is not None:
+        chi2 = f", and the reduced chi-square {ring.reduced_chi2:.3g}"
     summary = [
         f"The centre is {offset} ± {se} µm off the axis: with the table at {direction} ± "
         f"{direction_se} degrees it lies towards the probe. Push from there towards the axis.",
-        f"{n} readings over {np.degrees(ring.arc):.0f} degrees, {ring.missing} missing, {out} "
-        f"outliers; noise {to_um(ring.noise):.3g} µm{chi2}.",
+        f"{n} readings over {np.degrees(ring.arc):.0f} degrees were used; {ring.missing} are "
+        f"missing and {out} are outliers. Their noise is {to_um(ring.noise):.3g} µm{chi2}.",
         *(f"Note: {note}." for note in ring.notes),
     ]
     text = []
     if out:
         some = ", ".join(f"{i + 1}" for i in ring.outliers[:20])
-        text.append(f"Outliers, by reading: {some}{' ...' if out > 20 else ''}.")
-    text.append("A first harmonic of the ring's form cannot be told from an offset.")
+        text.append(f"The outliers are the readings {some}{' ...' if out > 20 else ''}.")
+    text.append(
+        "A deviation of the ring's form with one period per turn cannot be told from an offset."
+    )
     shown = []
     if pictures:
-        caption = "Deviation from the fitted radius, much enlarged; residuals; form."
+        caption = (
+            "Left: the deviation from the fitted radius, much enlarged. Right: what the fit "
+            "leaves, and the ring's form."
+        )
         shown.append(Picture("ring", caption, figures.ring.draw_ring(angle, radius, ring)))
-    return Report("Ring", summary, [Section("Offset", text, tables, shown)])
+    advice = [
+        "Give the same readings to difffric plan --ring: it finds the push that centres the ring."
+    ]
+    return Report("Ring", summary, [Section("Offset", text, tables, shown)], advice)

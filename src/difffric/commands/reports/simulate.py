@@ -15,6 +15,14 @@ from difffric.simulation.events import Regime, explain
 from difffric.simulation.sensitivities import regime_margin, sensitivity
 from difffric.units import from_mm_min, to_um
 
+_REGIMES = {
+    "no_motion": "The part does not move.",
+    "pushed_to_rest": "The part never leaves the tip, and rests in contact with it.",
+    "released_by_rebound": "The part leaves the tip by its own rebound.",
+    "released_at_stop": "The part leaves the tip because the tip stops.",
+}
+"""What happens in a push, as a person reads it."""
+
 
 def describe_simulation(rig: Rig, velocity: float) -> dict:
     """Simulate a push at a speed [m/s] and return it as result.json holds it."""
@@ -49,10 +57,12 @@ def draw_simulation(rig: Rig, velocity: float) -> list[Picture]:
     return [
         Picture(
             "position",
-            "Position of the part over time.",
+            "The position of the part over time.",
             figures.paper.draw_response(push, "position"),
         ),
-        Picture("force", "Contact force over time.", figures.paper.draw_response(push, "force")),
+        Picture(
+            "force", "The contact force over time.", figures.paper.draw_response(push, "force")
+        ),
     ]
 
 
@@ -62,16 +72,21 @@ def report_simulation(
     """Return the report of one push."""
     d = answer["sliding_distance_m"]
     distance = (
-        f"d = {format_number(to_um(d), 6)} µm" if d is not None else f"d: none ({answer['reason']})"
+        f"d = {format_number(to_um(d), 6)} µm"
+        if d is not None
+        else f"and there is no d: {answer['reason']}"
     )
-    regime = answer["regime"].replace("_", " ")
-    first = ", stuck first" if answer["stuck_first"] else ""
-    side = "" if answer["side"] == "both" else f", derivatives from the {answer['side']}"
+    first = " It sticks before it slides." if answer["stuck_first"] else ""
+    times = "once" if answer["contacts"] == 1 else f"{answer['contacts']} times"
     summary = [
         f"F_p = {format_number(answer['peak_force_N'], 6)} N, {distance}",
-        f"{regime}{first}; contacts: {answer['contacts']}; next regime at a relative change of "
-        f"mu_s of {format_number(answer['margin'], 3)}{side}",
+        f"{_REGIMES[answer['regime']]}{first} The tip touches it {times}.",
     ]
+    if answer["margin"] is not None:
+        change = format_number(100 * answer["margin"], 3)
+        summary.append(f"A change of mu_s by {change} % would change what happens in the push.")
+    if answer["side"] != "both":
+        summary.append(f"The derivatives hold for changes to the {answer['side']} only.")
     if answer["stroke"]:
         summary.append(answer["stroke"])
     derivatives = answer["derivatives"]
@@ -81,6 +96,10 @@ def report_simulation(
         [name, format_number(float(values[name]), 6), format_number(dF), format_number(dd[name])]
         for name, dF in derivatives["peak_force_N"].items()
     ]
-    table = Table("Exact derivatives [SI]", ("parameter", "value", "dF_p [N/…]", "dd [m/…]"), rows)
+    table = Table(
+        "Exact derivatives of F_p and d with respect to each parameter [SI]",
+        ("parameter", "value", "of F_p [N per unit]", "of d [m per unit]"),
+        rows,
+    )
     title = f"One push at {velocity_mm_min:g} mm/min"
     return Report(title, summary, [Section("Derivatives", (), [table], pictures)])

@@ -22,12 +22,15 @@ GOLDEN = (
 
 def state_error(exported: Exported) -> str:
     """One sentence on the error."""
-    worst = max(exported.worst.values())
-    tried = f"worst of {exported.points} random pushes {100 * worst:.2g} %"
-    if exported.homogeneous:
-        bound = max(x or 0.0 for x in exported.bound.values())
-        return f"Error of mu_s where determined: at most {100 * bound:.2g} % (bounded), {tried}."
-    return f"Error of mu_s where determined: {tried} (sampled, no bound)."
+    worst = 100 * max(exported.worst.values())
+    tried = f"the largest error of {exported.points} random pushes is {worst:.2g} %"
+    if not exported.homogeneous:
+        return f"Where the model determines mu_s, {tried}; a bound is not proven."
+    bound = 100 * max(x or 0.0 for x in exported.bound.values())
+    return (
+        f"Where the model determines mu_s, the predictor errs by {bound:.2g} % at most, which is "
+        f"proven; {tried}."
+    )
 
 
 def render_source(

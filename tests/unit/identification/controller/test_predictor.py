@@ -284,7 +284,7 @@ def test_golden_vectors_hold_every_case(exported):
 def test_the_answer_and_the_report_say_what_is_proven(exported, with_stroke):
     answer = describe_predictor(exported, RIG)
     assert answer["proof"] == "bounded" and max(answer["bound"].values()) <= 0.005
-    assert "(bounded)" in report_predictor(exported, RIG).summary[0]
+    assert "which is proven" in report_predictor(exported, RIG).summary[0]
     rig, found = with_stroke
     assert describe_predictor(found, rig)["proof"] == "sampled"
     assert "several mu_s" in report_predictor(found, rig).summary[-1]
