@@ -14,6 +14,11 @@ from difffric.diagnosis.data import DiagnosisData
 from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.extended_setup import extend_rig, extend_setup, strip_effects
 from difffric.diagnosis.impossible_measurements import Certificate
+from difffric.diagnosis.inferred.friction import (
+    DWELL_EFFECT,
+    compute_friction_errors,
+    find_friction,
+)
 from difffric.diagnosis.lack_of_fit import LackOfFit, measure_lack_of_fit
 from difffric.diagnosis.location import Location, locate
 from difffric.diagnosis.misfit import Misfit, describe_remaining, measure_misfits
@@ -28,9 +33,7 @@ from difffric.diagnosis.verdict import (
     Diagnosis,
     DiagnosisState,
     HeldOutGain,
-    compute_friction_errors,
     describe_cause,
-    find_friction,
 )
 from difffric.estimation import ensemble, ensemble_refits
 from difffric.estimation.ensemble import Fits
@@ -47,6 +50,9 @@ ALIKE = 2 * np.log(20.0)
 to 1."""
 _DOUBTED = 0.1
 """The same from which a lone cause is held against components that may bend freely."""
+_FAR_MORE = 3.0
+"""How many times the squares that small effects leave a plain model leaves that is wrong by far
+more than they are."""
 _VISIBLE = 3.0
 """Standard deviations at its typical size from which an effect can be seen."""
 _SAME = 0.01
@@ -170,11 +176,8 @@ def conclude(found: Findings, tell: Tell) -> Diagnosis:
     unseen = _list_invisible(found, causes)
     ambiguous = causes if verdict == AMBIGUOUS else ()
     rig = extend_rig(strip_effects(found.setup)[0].rig, task, extended)
-    friction, before = (find_friction(task, fits) for fits in (whole, plain))
-    errors = compute_friction_errors(task, whole, found.unseen)
-    if found.friction is not None and whole is not plain:
-        friction, errors = found.friction
-        errors = np.hypot(errors, found.unseen)
+    friction, errors = _infer_friction(found, whole)
+    before = find_friction(task, plain)
     return Diagnosis(
         verdict=verdict,
         p_value=found.lack.p_value,
@@ -201,6 +204,26 @@ def conclude(found: Findings, tell: Tell) -> Diagnosis:
         misfit=misfit,
         state=DiagnosisState(found.data, plain, whole, found.lack, after),
     )
+
+
+def _infer_friction(found: Findings, at: Fits) -> tuple[np.ndarray, np.ndarray]:
+    """Return the log mu_s (n,) of the pushes and their standard errors (n,), where the fit `at` (an
+    ensemble of one) is what the diagnosis says; small effects beside a plain model that leaves far
+    more than they do say more of mu_s than that alone."""
+    task = found.data.task
+    left = [
+        float(measure_lack_of_fit(task, fits).chi2.sum()) for fits in (found.plain, found.whole)
+    ]
+    if left[0] > _FAR_MORE * max(left[1], task.counts.sum()):
+        at = found.whole
+    if found.friction is not None and at is not found.plain:
+        friction, errors = found.friction
+        return friction, np.hypot(errors, found.unseen)
+    named = {one.best.effect for one in (*found.causes, *found.slight)}
+    known = {name.partition(".")[0] for name in strip_effects(found.setup)[1]}
+    grown = DWELL_EFFECT in named | known
+    errors = compute_friction_errors(task, at, found.unseen, grown)
+    return find_friction(task, at, grown), errors
 
 
 def _tell_remaining(

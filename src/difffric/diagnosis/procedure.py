@@ -37,6 +37,7 @@ from difffric.diagnosis.conclusion import Findings, NamedCause, conclude
 from difffric.diagnosis.cross_validation import CrossValidation, assign_folds
 from difffric.diagnosis.exploration import CandidateCause, explore, is_promising
 from difffric.diagnosis.impossible_measurements import find_unreachable
+from difffric.diagnosis.inferred.changes import measure_changes
 from difffric.diagnosis.lack_of_fit import LackOfFit, is_misfit_large, measure_lack_of_fit
 from difffric.diagnosis.score_test import SIGNIFICANT, Score, compute_p_value, run_score_tests
 from difffric.diagnosis.start import (
@@ -45,7 +46,7 @@ from difffric.diagnosis.start import (
     fit_plain_model,
     prepare_start,
 )
-from difffric.diagnosis.verdict import Diagnosis, measure_changes
+from difffric.diagnosis.verdict import Diagnosis
 from difffric.errors import InputError, NumericalError
 from difffric.estimation import ensemble, ensemble_refits
 from difffric.estimation.effect_coordinates import PLAIN
@@ -270,7 +271,9 @@ class _CauseSearch(CauseRounds):
         if items or share > _BACKGROUND:
             self.tell("comparing with curves of no particular form", 0.6)
             compared = compare_with_curves(data, found, items)
-            self.explained, self.curves = not compared.is_outside, (compared.best,)
+            # What a curve changes by less than matters is left, and is told as what is left.
+            outside = compared.is_outside and compared.change >= self.matters
+            self.explained, self.curves = not outside, (compared.best,)
         poor = found.evidence.excess > MOST_EXCESS or self.explained is False
         if PRESLIDING in wanted and poor and self._add_bristles(len(wanted)):
             return

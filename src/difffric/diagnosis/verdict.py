@@ -7,14 +7,12 @@ from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from difffric.calibration.result import Fit
 from difffric.diagnosis.cross_validation import Remaining
 from difffric.diagnosis.data import DiagnosisData
 from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.impossible_measurements import Certificate
+from difffric.diagnosis.inferred.changes import measure_changes
 from difffric.diagnosis.lack_of_fit import LackOfFit
 from difffric.diagnosis.location import Location
 from difffric.diagnosis.misfit import Misfit
@@ -27,29 +25,6 @@ from difffric.rig.setup import Setup
 
 ADEQUATE, NAMED, AMBIGUOUS, UNEXPLAINED = "adequate", "named", "ambiguous", "unexplained"
 _RATIO_TEXT = "mu_k / mu_s is not what the set-up says"
-_DRIFT, _DWELL = "friction_drift.drift", "static_dwell.amplitude"
-_TAU = next(key.null for key in CATALOGUE["static_dwell"].keys if key.name == "tau_s")
-"""Time [s] after which a rest begins to count, which is fixed."""
-_STEP = 1e-3
-"""Relative change of mu_s by which F_p and d are differentiated: far above the error with which
-a push is followed, and so small that nothing but the slope is seen."""
-_TELLS = 0.1
-"""Relative change of F_p, or of d, by that of mu_s: below, nobody infers mu_s from it."""
-
-
-@dataclass(frozen=True)
-class Changes:
-    """What an effect changes: relative, root mean square over the pushes."""
-
-    mu_s: float
-    """of the mu_s that is inferred, all that is free fitted anew without the effect"""
-    peak_force: float
-    """of F_p, all else as it is"""
-    sliding_distance: float
-    """of d likewise"""
-    as_mu_s: float
-    """the largest of the three as a share of mu_s: F_p and d count as the change of mu_s that
-    changes them as much"""
 
 
 @dataclass(frozen=True)
@@ -289,91 +264,3 @@ def describe_cause(
         change_sliding_distance=changes.sliding_distance,
         change_as_mu_s=changes.as_mu_s,
     )
-
-
-def measure_changes(task: EnsembleTask, without: Fits, at: Fits, effect: str) -> Changes:
-    """Measure what an effect changes in the fit `at`; `without` is a fit that lacks it (both
-    ensembles of one).
-
-    Pushes without a d, with the effect or without it, say nothing of d.
-    """
-    n, index = task.n, task.model.coordinates.indices(numbers_of(effect))
-    c = np.repeat(at.c, 4 * n, axis=0).reshape(4, n, -1)
-    c[:, :, 0] = at.mu[0, task.condition] + at.own[0]
-    c[1][:, index] = without.c[0, index]
-    c[2:, :, 0] += np.array([[_STEP], [-_STEP]])
-    none = np.zeros((0, c.shape[2]))
-    answers = task.model.answers(np.tile(np.arange(n), 4), c.reshape(4 * n, -1), none)
-    there, without_it, up, down = answers.model.reshape(4, n, 2)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        change = there / without_it - 1
-        slope = (up - down) / (2 * _STEP * there)
-    force, distance = (_take_rms(x) for x in change.T)
-    moved = _take_rms(find_friction(task, at) - find_friction(task, without))
-    slopes = (max(_take_rms(x), _TELLS) for x in slope.T)
-    by_force, by_distance = (x / y for x, y in zip((force, distance), slopes, strict=True))
-    return Changes(moved, force, distance, max(moved, by_force, by_distance))
-
-
-def _take_rms(x: NDArray) -> float:
-    """Return the root mean square of what is finite of x (n,), 0 where nothing is."""
-    x = x[np.isfinite(x)]
-    return float(np.sqrt(np.mean(x**2))) if len(x) else 0.0
-
-
-def find_friction(task: EnsembleTask, fits: Fits) -> NDArray:
-    """Return the log mu_s (n,) that each push had by a fit (an ensemble of one): with the drift up
-    to it, and what static friction grew by in the rest before it."""
-    coordinates = task.model.coordinates
-    found = fits.mu[0, task.condition] + fits.own[0]
-    if _DRIFT in coordinates.names:
-        (drift,) = coordinates.values(fits.c[0], (_DRIFT,))
-        found = found + np.log1p(drift * np.asarray(task.model.pushes.share))
-    if _DWELL in coordinates.names:
-        (amplitude,) = coordinates.values(fits.c[0], (_DWELL,))
-        found = found + np.log1p(amplitude * _grow_in_rest(task.model.pushes))
-    return found
-
-
-def compute_friction_errors(task: EnsembleTask, fits: Fits, unseen: float = 0.0) -> NDArray:
-    """Return the standard errors (n,) of the log mu_s of `find_friction`; `unseen` is what a small
-    effect that no push can tell from mu_s (a normal force, where all have one mass) does to it.
-
-    A push's own mu_s is known as well as its own data and the scatter say, where the parameters
-    are known; their covariance adds what they do to it. All is as much larger as what the fit
-    leaves beyond the noise.
-    """
-    if not task.mu_free:
-        return np.zeros(task.n)
-    parts = ensemble.split_by_push(task, fits)
-    weight = parts.z[0] + 1.0 / fits.scatter[0] ** 2
-    slope = -parts.h[0] / weight[:, None]
-    slope[np.arange(task.n), task.condition] += 1.0
-    columns = [*task.shared, *fits.extra[0]]
-    for i, change in differentiate_friction(task, fits.c[0]).items():
-        if i in columns:
-            slope[:, task.conditions + columns.index(i)] += change
-    covariance = ensemble.covariance(task, fits)[0]
-    variance = 1.0 / weight + np.einsum("np,pq,nq->n", slope, covariance, slope)
-    squares = np.einsum("nk,k->", fits.gram[0, ..., -1, -1], fits.spread[0] ** -2.0)
-    freedom = max(task.counts.sum() - slope.shape[1] - task.n, 1.0)
-    return np.sqrt(variance * max(float(squares) / freedom, 1.0) + unseen**2)
-
-
-def differentiate_friction(task: EnsembleTask, c: NDArray) -> dict[int, NDArray]:
-    """Return the derivatives (n,) of each push's log mu_s by those of the coordinates c (K,) that
-    say how it changes from push to push, by their numbers."""
-    coordinates, found = task.model.coordinates, {}
-    for name in (_DRIFT, _DWELL):
-        for i in coordinates.indices([name]) if name in coordinates.names else ():
-            pushes = task.model.pushes
-            by = np.asarray(pushes.share) if name == _DRIFT else _grow_in_rest(pushes)
-            (value,) = coordinates.values(c, (name,))
-            found[i] = coordinates.unit[i] * by / (1.0 + value * by)
-    return found
-
-
-def _grow_in_rest(pushes: Any) -> NDArray:
-    """By what share of the amplitude of a dwell static friction grew in the rest before each
-    push."""
-    return np.log1p(np.asarray(pushes.rest) / _TAU)

@@ -16,7 +16,7 @@ from difffric.diagnosis.background.friction_estimate import estimate_friction
 from difffric.diagnosis.background.shape_columns import Shape, ShapeColumns, list_nearby
 from difffric.diagnosis.background.shape_pursuit import pursue_shapes
 from difffric.diagnosis.background.small_effects import SmallEffects
-from difffric.diagnosis.verdict import compute_friction_errors
+from difffric.diagnosis.inferred.friction import compute_friction_errors
 from difffric.estimation import ensemble, ensemble_refits
 from tests.unit.diagnosis.linear_rig import make_task, start
 

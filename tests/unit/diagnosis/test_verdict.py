@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import difffric as df
-from difffric.diagnosis.verdict import find_friction, measure_changes
+from difffric.diagnosis.inferred.changes import compare_readings, measure_changes
+from difffric.diagnosis.inferred.friction import find_friction
 from difffric.estimation.effect_coordinates import Coordinates
 from difffric.rig import catalogue
 
@@ -43,6 +44,28 @@ def test_the_friction_of_a_push_has_the_drift_and_the_dwell_in_it():
     task, _, fits = place({"friction_drift.drift": 0.1, "static_dwell.amplitude": 0.02})
     expected = 0.14 * (1 + 0.1 * SHARE) * (1 + 0.02 * np.log(1 + REST))
     np.testing.assert_allclose(np.exp(find_friction(task, fits)), expected, rtol=1e-12)
+
+
+def test_without_growth_in_rest_the_friction_is_that_which_slides():
+    task, _, fits = place({"friction_drift.drift": 0.1, "static_dwell.amplitude": 0.02})
+    np.testing.assert_allclose(
+        np.exp(find_friction(task, fits, grown=False)), 0.14 * (1 + 0.1 * SHARE), rtol=1e-12
+    )
+
+
+def test_a_push_on_an_edge_does_not_hide_what_others_show():
+    slope = np.array([-2.0] * 6 + [-500.0])
+
+    def answer(index, c, directions):
+        distance = np.exp(slope[index] * c[:, 0]) * (1 + c[:, 1])
+        return SimpleNamespace(model=np.stack([np.ones(len(c)), distance], axis=1))
+
+    task = SimpleNamespace(n=len(slope), model=SimpleNamespace(answers=answer))
+    with_it, without = np.zeros((2, len(slope), 2))
+    with_it[:, 1] = 0.03
+    force, distance, as_mu_s = compare_readings(task, with_it, without)
+    assert (force, distance) == (0.0, pytest.approx(0.03))
+    assert 0.01 < as_mu_s < 0.03 / 2
 
 
 @pytest.mark.parametrize(

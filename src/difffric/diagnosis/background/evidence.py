@@ -47,7 +47,7 @@ class PossibleCause(NamedTuple):
     shape: Shape | None = None
 
 
-class _BackgroundState(NamedTuple):
+class BackgroundState(NamedTuple):
     """All that a scatter of mu_s and a share of the background say of q effects' columns."""
 
     scatter: float
@@ -133,7 +133,7 @@ class Evidence:
         self._scatters, self._shares = np.asarray(scatters), shares
         self._states = self._make_states(scatters, shares)
         self._log_prior = prior
-        self.nothing = float(_sum_logs(prior - 0.5 * np.array([s.cost for s in self._states])))
+        self.nothing = float(sum_logs(prior - 0.5 * np.array([s.cost for s in self._states])))
 
     def add_columns(self, more: ShapeColumns) -> Evidence:
         """Return the comparison with further shapes, none of them placed."""
@@ -168,7 +168,7 @@ class Evidence:
 
     def _make_states(
         self, scatters: NDArray, shares: NDArray, causes: Sequence[int] = ()
-    ) -> list[_BackgroundState]:
+    ) -> list[BackgroundState]:
         P, out, causes = self.known, [], list(causes)
         for scatter in scatters:
             weight = scatter**2 / (1 + scatter**2 * self.z / self.excess) / self.excess
@@ -188,7 +188,7 @@ class Evidence:
                 if share == 0 and not causes:
                     cost = float(squares + volume)
                     out.append(
-                        _BackgroundState(
+                        BackgroundState(
                             float(scatter), 0.0, cost, squares, M, h, None, None, *plain
                         )
                     )
@@ -199,7 +199,7 @@ class Evidence:
                 mean = -C @ (B * h)
                 left = squares + float(h @ (B * mean))
                 cost = float(left + volume + np.linalg.slogdet(Q)[1])
-                out.append(_BackgroundState(scatter, share, cost, left, M, h, C, mean, *plain, B))
+                out.append(BackgroundState(scatter, share, cost, left, M, h, C, mean, *plain, B))
         return out
 
     def compare(self, sets: Sequence[Sequence[int]]) -> SetFit:
@@ -231,7 +231,7 @@ class Evidence:
             covariances.append(V)
             variances.append(variance)
         log = self._log_prior[:, None] - 0.5 * np.array(cost)
-        total = _sum_logs(log, axis=0)
+        total = sum_logs(log, axis=0)
         return SetFit(
             gain=total - self.nothing,
             weight=np.exp(log - total),
@@ -265,53 +265,13 @@ class Evidence:
         costs = np.array([state.cost for state in self._states]) - 2 * self._log_prior
         return int(np.argmin(costs)) // len(self._shares)
 
-    def weigh_curves(
-        self, items: Sequence[PossibleCause], curves: Sequence[NDArray], priors: Sequence[NDArray]
-    ) -> list[float]:
-        """The log likelihoods beyond that of no cause at all, first with the `items` as causes,
-        then with each of the `curves` besides: k columns (n, R, k), whose sizes are normal about
-        zero with one of the covariances `priors` (k, k), averaged over these. A cause is normal
-        about zero here too."""
+    def list_states(self, items: Sequence[PossibleCause]) -> list[tuple[BackgroundState, float]]:
+        """The states with the `items` as causes, normal about zero here too, and the log
+        probability of each with what was measured, but for the constant of `nothing`."""
         causes = [c for item in items for c in item.columns]
         states = self._make_states(self._scatters, self._shares, causes)
-        alone = self._log_prior - 0.5 * np.array([state.cost for state in states])
-        out = [float(_sum_logs(alone)) - self.nothing]
-        for rows in curves:
-            cross, gram = np.swapaxes(self.rows, 1, 2) @ rows, np.swapaxes(rows, 1, 2) @ rows
-            own = np.einsum("nr,nrk->nk", self.push, rows)
-            both = zip(states, alone, strict=True)
-            every = [x + 0.5 * g for state, x in both for g in self._gain_curve(
-                state, cross, gram, own, priors)]  # fmt: skip
-            out.append(float(_sum_logs(every) - np.log(len(priors)) - self.nothing))
-        return out
-
-    def _gain_curve(
-        self,
-        state: _BackgroundState,
-        cross: NDArray,
-        gram: NDArray,
-        own: NDArray,
-        priors: Sequence[NDArray],
-    ) -> list[float]:
-        """By how much -2 log likelihood falls with the columns of a curve, for each prior; `cross`
-        (n, p, k), `gram` (n, k, k) and `own` (n, k) are their products."""
-        P = self.known
-        weight = state.scatter**2 / (self.excess + state.scatter**2 * self.z)
-        X = cross.sum(axis=0) - np.einsum("n,np,nk->pk", weight, self.own, own)
-        Y = gram.sum(axis=0) - np.einsum("n,nj,nk->jk", weight, own, own)
-        X, Y = X / self.excess, Y / self.excess
-        mixed = X[P:] - state.known.T @ X[:P]
-        Y = Y - X[:P].T @ state.inverse @ X[:P]
-        mixed, q = mixed[:-1], mixed[-1]
-        if state.C is not None and state.B is not None:
-            spread = state.B[:, None] * state.C * state.B
-            Y = Y - mixed.T @ spread @ mixed
-            q = q - mixed.T @ spread @ state.h
-        out = []
-        for K in priors:
-            S = np.eye(len(q)) + Y @ K
-            out.append(float(q @ K @ np.linalg.solve(S, q) - np.linalg.slogdet(S)[1]))
-        return out
+        logs = self._log_prior - 0.5 * np.array([state.cost for state in states])
+        return list(zip(states, logs.tolist(), strict=True))
 
     def compute_log_p_values(
         self, items: Sequence[PossibleCause], least_share: float = 0.0
@@ -331,11 +291,11 @@ class Evidence:
             size = found.size[:, 0, mine]
             drop = np.einsum("si,si->s", size, np.linalg.solve(V, size[:, :, None])[:, :, 0])
             tail = scipy.stats.chi2.logsf(drop, len(item.columns))
-            out.append(float(_sum_logs(tail, b=found.weight[:, 0])))
+            out.append(float(sum_logs(tail, b=found.weight[:, 0])))
         return out
 
 
-def _sum_logs(x: Any, axis: int | None = None, b: Any = None) -> NDArray:
+def sum_logs(x: Any, axis: int | None = None, b: Any = None) -> NDArray:
     """The logarithm of a sum of exponentials, each `b` times."""
     return np.asarray(logsumexp(x, axis=axis, b=b))
 

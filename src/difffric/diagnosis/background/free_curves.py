@@ -7,16 +7,23 @@ with the sets of causes by the same likelihood, beside the same background.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from difffric.diagnosis.background.cause_sets import score_set
-from difffric.diagnosis.background.evidence import PossibleCause
+from difffric.diagnosis.background.evidence import (
+    BackgroundState,
+    Evidence,
+    PossibleCause,
+    sum_logs,
+)
 from difffric.diagnosis.background.search import BackgroundSearch
 from difffric.diagnosis.data import DiagnosisData
+from difffric.diagnosis.inferred.changes import compare_readings
 from difffric.diagnosis.location import add_free_forms
 from difffric.rig import free_form
 from difffric.rig.free_form import FORMS
@@ -45,6 +52,8 @@ class CurveComparison:
     """of each beside the causes"""
     count: int = 0
     """how many causes there are"""
+    change: float = 0.0
+    """share of mu_s that changes F_p or d by as much as the best curve does"""
 
     @property
     def best(self) -> str:
@@ -83,18 +92,80 @@ def compare_with_curves(
     curves = np.split(rows.reshape(task.n, -1, len(FORMS) * free_form.SPLINES), len(FORMS), axis=2)
     priors = [size**2 * _correlate(length) for length in _LENGTHS for size in _SIZES]
     price = float(np.log(len(FORMS))) + _SELDOM
-    alone = evidence.weigh_curves((), curves, priors)
-    beside = evidence.weigh_curves(items, curves, priors) if items else alone
+    alone = list(_weigh_curves(evidence, (), curves, priors))
+    beside = list(_weigh_curves(evidence, items, curves, priors)) if items else []
     causes = score_set(evidence, items)
+    without = sum_logs([x for _, x in evidence.list_states(items)]) - evidence.nothing
+    best = int(np.argmax([x.gain for x in alone]))
+    bent = c.copy()
+    bent[:, K + best * free_form.SPLINES :][:, : free_form.SPLINES] = alone[best].coefficients
     return CurveComparison(
         causes=causes,
         count=len(items),
-        curves={form: x - price for form, x in zip(FORMS, alone[1:], strict=True)},
+        curves={form: x.gain - price for form, x in zip(FORMS, alone, strict=True)},
         both={
-            form: causes + x - beside[0] - price
-            for form, x in zip(FORMS, beside[1:] if items else (), strict=False)
+            form: causes + x.gain - float(without) - price
+            for form, x in zip(FORMS, beside, strict=False)
         },
+        change=compare_readings(wide, bent, c)[2],
     )
+
+
+class _CurveFit(NamedTuple):
+    gain: float
+    """log likelihood beyond that of nothing at all, averaged over states and priors"""
+    coefficients: NDArray
+    """(k,) the best in the most probable state, by the most probable prior"""
+
+
+def _weigh_curves(
+    evidence: Evidence,
+    items: Sequence[PossibleCause],
+    curves: Sequence[NDArray],
+    priors: Sequence[NDArray],
+) -> Iterator[_CurveFit]:
+    """Yield what each of the `curves` explains beside the `items` as causes: k columns (n, R, k),
+    whose sizes are normal about zero with one of the covariances `priors` (k, k)."""
+    states = evidence.list_states(items)
+    for rows in curves:
+        cross = np.swapaxes(evidence.rows, 1, 2) @ rows
+        gram, own = np.swapaxes(rows, 1, 2) @ rows, np.einsum("nr,nrk->nk", evidence.push, rows)
+        logs, fits = [], []
+        for state, log in states:
+            for gain, coefficients in _fit_curve(evidence, state, cross, gram, own, priors):
+                logs.append(log + 0.5 * gain)
+                fits.append(coefficients)
+        gain = float(sum_logs(logs) - np.log(len(priors)) - evidence.nothing)
+        yield _CurveFit(gain, fits[int(np.argmax(logs))])
+
+
+def _fit_curve(
+    evidence: Evidence,
+    state: BackgroundState,
+    cross: NDArray,
+    gram: NDArray,
+    own: NDArray,
+    priors: Sequence[NDArray],
+) -> Iterator[tuple[float, NDArray]]:
+    """Yield, for each prior, by how much -2 log likelihood falls with the columns of a curve and
+    their best coefficients; `cross` (n, p, k), `gram` (n, k, k) and `own` (n, k) are their products
+    with those of the evidence, with each other and with the pushes' own mu_s."""
+    P, excess = evidence.known, evidence.excess
+    weight = state.scatter**2 / (excess + state.scatter**2 * evidence.z)
+    X = cross.sum(axis=0) - np.einsum("n,np,nk->pk", weight, evidence.own, own)
+    Y = gram.sum(axis=0) - np.einsum("n,nj,nk->jk", weight, own, own)
+    X, Y = X / excess, Y / excess
+    mixed = X[P:] - state.known.T @ X[:P]
+    Y = Y - X[:P].T @ state.inverse @ X[:P]
+    mixed, q = mixed[:-1], mixed[-1]
+    if state.C is not None and state.B is not None:
+        spread = state.B[:, None] * state.C * state.B
+        Y = Y - mixed.T @ spread @ mixed
+        q = q - mixed.T @ spread @ state.h
+    for K in priors:
+        S = np.eye(len(q)) + Y @ K
+        solved = np.linalg.solve(S, q)
+        yield float(q @ K @ solved - np.linalg.slogdet(S)[1]), -K @ solved
 
 
 def _correlate(length: float) -> NDArray:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
-from difffric.diagnosis.verdict import differentiate_friction, find_friction
+from difffric.diagnosis.inferred.friction import DWELL_EFFECT, differentiate_friction, find_friction
 
 _LEAST = 1e-3
 """Probability of a scatter and a share below which they are not looked at."""
@@ -27,7 +27,11 @@ def estimate_friction(
 ) -> tuple[NDArray, NDArray]:
     """Return the log mu_s (n,) of each push, with drift and rest before it, and the standard errors
     (n,) of these, where the `items` are causes and all else is background; NaN where the average is
-    no friction."""
+    no friction.
+
+    What static friction grows by in a rest is in it where that is a cause: where it is not seen,
+    F_p and d tell of the friction that slides.
+    """
     means, variances, weights = [], [], []
     for scatter, share, weight in evidence.weigh_states(items):
         if weight > _LEAST:
@@ -47,6 +51,8 @@ def _estimate_at(
     """The means and the variances (n,) of the log mu_s for one scatter of mu_s and one share of the
     background."""
     task, at, small = evidence.task, evidence.at, evidence.small
+    causes = {item.effect for item in items}
+    grown = DWELL_EFFECT not in small.effects or DWELL_EFFECT in causes
     spread = evidence.compute_spread(share, [c for item in items for c in item.columns])
     spread = np.maximum(spread, _NO_SPREAD * evidence.unit)
     # Each push's own mu_s is eliminated, as in the comparison of sets.
@@ -64,11 +70,11 @@ def _estimate_at(
     index, first = list(small.index), evidence.known
     c[0, index] = small.null[index] + best[first : first + len(index)]
     level = np.where(level > 0, level, np.nan)
-    mean = find_friction(task, replace(at, c=c, own=np.log(level)[None]))
+    mean = find_friction(task, replace(at, c=c, own=np.log(level)[None]), grown)
     slope = -known[:, None] * own[:, :-1]
     slope[np.arange(task.n), task.condition] += 1.0
     slope /= level[:, None]
-    for i, change in differentiate_friction(task, c[0]).items():
+    for i, change in differentiate_friction(task, c[0], grown).items():
         if i in index:
             slope[:, first + index.index(i)] += change
     variance = known * evidence.excess / level**2

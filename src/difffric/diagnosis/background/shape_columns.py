@@ -132,7 +132,8 @@ def list_placed(task: EnsembleTask, at: Fits, effects: Sequence[str]) -> list[Sh
         names = [coordinates.names[i] for i in index]
         sizes = [x for x, name in zip(at.c[0, index], names, strict=True) if _is_size(name)]
         without = dict.fromkeys(index, 0.0)
-        typical = 1.0 / max(float(np.linalg.norm(sizes)), 1e-6)
+        # Of a speed, a level, a duration no size is typical: what it changes says how large it is.
+        typical = 1.0 if effect in _SIZED else 1.0 / max(float(np.linalg.norm(sizes)), 1e-6)
         found.append(Shape(effect, (without,), 1.0, typical, placed=True))
     return found
 
