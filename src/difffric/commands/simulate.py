@@ -35,8 +35,8 @@ def simulate(
     motion: Annotated[
         Path | None,
         typer.Option(
-            help="what drives it: of an axis its forces, .csv or .tdms; of pushes recordings, .tdms, "
-            "with a channel pusher"
+            help="what drives it: of an axis its forces, .csv or .tdms; of pushes recordings, "
+            ".tdms, with a channel pusher"
         ),
     ] = None,
     channel: Channel = None,

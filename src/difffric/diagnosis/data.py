@@ -134,7 +134,8 @@ def _extend_by_all(
     rig: Rig, pushes: StackedPushes, kind: str, left_out: Sequence[str], motion: Any
 ) -> ExtendedModel:
     """Return the model of a plain rig with all effects of the catalogue at their nulls, but for
-    those left out, its tip moving as the stacked `motion` has it, if there is one. Bristles have no null: the model adds them itself where they are asked for."""
+    those left out, its tip moving as the stacked `motion` has it, if there is one. Bristles
+    have no null: the model adds them itself where they are asked for."""
     every = {e: {} for e in CATALOGUE if e not in left_out}
     plain = parameters.with_stroke(rig, 1.0 if motion is None else pick(motion, 0))
     coordinates = Coordinates.of(extended(plain, every))

@@ -136,7 +136,7 @@ def stack_even(
         times = grids[0].t if whole.t is None else whole.t
         doubts = []
         for i, (row, detail) in enumerate(zip(made, details, strict=True)):
-            level = 1.0 if row[1] is None else row[1][3].level
+            level = 1.0 if (made_of := row[1]) is None else made_of[3].level
             doubts.append(
                 _find_doubt(times[i], whole.a[i], whole.b[i], whole.before[i], detail, level)
             )

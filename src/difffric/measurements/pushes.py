@@ -64,8 +64,8 @@ class Pushes:
     rest_before: NDArray = _NOT_MEASURED
     """rest before the push [s]"""
     motion: Any = None
-    """the recorded motions that drive the tips (`rig.pusher.RecordedMotion`), stacked; None: they go
-    at `velocity`"""
+    """the recorded motions that drive the tips (`rig.pusher.RecordedMotion`), stacked; None: they
+    go at `velocity`"""
     source: str = ""
     """the file they come from"""
     skipped: tuple[str, ...] = ()

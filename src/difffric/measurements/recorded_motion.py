@@ -32,6 +32,7 @@ MOST_KINKS = 4
 PIECES = INTERVALS[-1] + MOST_KINKS + 1
 """Pieces that every motion is padded to, so that one program follows all pushes."""
 _DEGREE = 3
+"""Of the spline: its speed is of second degree, and has no corner but at a kink."""
 _KINK = 20.0
 """The chi-square that a kink must explain: noise alone does so once in a thousand motions."""
 _APART = 3.0

@@ -58,7 +58,8 @@ def test_an_effect_of_the_pusher_has_no_place_beside_it():
 
 @pytest.mark.parametrize("ask", [df.fit, df.identify, df.diagnose])
 def test_a_table_has_no_recorded_pusher(ask):
-    table = df.Pushes([0.02, 0.05, 0.05], np.array([150.0, 180.0, 181.0]), np.full(3, 2e-3))
+    force = np.array([150.0, 180.0, 181.0])
+    table = df.Pushes(np.array([0.02, 0.05, 0.05]), force, np.full(3, 2e-3))
     with pytest.raises(InputError) as refused:
         ask(parse_setup(TEXT), table)
     assert "a table has no channel pusher" in str(refused.value)

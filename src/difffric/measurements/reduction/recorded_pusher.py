@@ -4,8 +4,8 @@ What the smoothed motion is off makes the modelled force off by k y + b V, for a
 remembers. A fit takes noise to be independent from sample to sample, or AR(1): so the force's noise
 is raised to one that has the same power at low frequencies, which takes as much from what the
 samples say of mu_s. The part's speed where it leaves the tip is off by the impulse of that force:
-residuals of the position are blind to what such a speed does to the slide. F_p and d have their own standard errors raised by what the motion's error
-makes of them.
+residuals of the position are blind to what such a speed does to the slide. F_p and d have their own
+standard errors raised by what the motion's error makes of them.
 """
 
 from __future__ import annotations
