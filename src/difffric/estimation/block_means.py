@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,21 +131,20 @@ def stack_even(
     ]
     if same:
         grids[1] = grids[1]._replace(t=None)
+    levels = np.array([[1.0 if c is None else c[3].level for c in row] for row in made])
     if any(x.release_velocity_doubt for x in details):
         whole = grids[1]
-        times = grids[0].t if whole.t is None else whole.t
+        times: Any = grids[0].t if whole.t is None else whole.t
         doubts = []
-        for i, (row, detail) in enumerate(zip(made, details, strict=True)):
-            level = 1.0 if (made_of := row[1]) is None else made_of[3].level
-            doubts.append(
-                _find_doubt(times[i], whole.a[i], whole.b[i], whole.before[i], detail, level)
-            )
+        for i, detail in enumerate(details):
+            own = times[i], whole.a[i], whole.b[i], whole.before[i]
+            doubts.append(_find_doubt(*own, detail, levels[i, 1]))
         grids[1] = whole._replace(doubt=np.stack(doubts))
     kept = np.array([[0 if c is None else c[2].sum() for c in row] for row in made])
     total = sum(len(c[0]) for row in made for c in row if c is not None)
     return EvenBlocks(
         pushes=TracePush(np.array([r.velocity for r in recordings]), np.asarray(strokes), *grids),
-        levels=np.array([[1.0 if c is None else c[3].level for c in row] for row in made]),
+        levels=levels,
         counts=kept,
         left_out=int(total - kept.sum()),
     )

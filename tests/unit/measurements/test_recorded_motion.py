@@ -104,7 +104,9 @@ def test_a_recording_is_then_of_the_travel_and_the_mean_speed_of_its_tip():
     assert push.stroke == push.motion.travel
     assert push.stroke / push.velocity == pytest.approx(push.motion.end)
     (note,) = describe_motion([push])
-    assert "driven by the recorded pusher" in note and " Hz" in note and "0.3" in note
+    assert (
+        "driven by the recorded pusher" in note and " Hz" in note and "µm of noise a sample" in note
+    )
 
 
 WITHOUT = record_tip({})[0]
