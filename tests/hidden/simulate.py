@@ -19,6 +19,7 @@ from nptdms import ChannelObject, GroupObject, RootObject, TdmsWriter
 from tests.hidden import forms, outsiders, stepper
 from tests.hidden.case import MM_MIN, TABLE, Case, Push, draw_pushes
 from tests.hidden.noise import coloured
+from tests.hidden.tip import follow_tip
 from tests.reference.effect_parameters import NAMES, vector
 
 LONGEST = 0.8
@@ -191,8 +192,11 @@ def table(case: Case) -> list[dict]:
     return rows
 
 
-def write(case: Case, folder: Path) -> Path:
-    """Writes the data, a rough set-up and the truth; returns the data's path."""
+def write(case: Case, folder: Path, tip_noise: float | None = None) -> Path:
+    """Writes the data, a rough set-up and the truth; returns the data's path.
+
+    With `tip_noise` [m] recordings have a channel of the tip, with so much noise a sample.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "setup.toml").write_text(rough_setup(case), encoding="utf-8")
     (folder / "truth.json").write_text(json.dumps(case.truth(), indent=1) + "\n", encoding="utf-8")
@@ -208,11 +212,16 @@ def write(case: Case, folder: Path) -> Path:
     with TdmsWriter(path) as file:
         file.write_segment([RootObject({"description": "push recordings"})])
         for i, one in enumerate(record(case)):
-            file.write_segment(_group(case, f"push {i + 1:04d}", one))
+            tip = None
+            if tip_noise is not None:
+                rng = np.random.default_rng([case.seed, 1, i, 3])
+                tip = follow_tip(case, one.push, one.times)
+                tip = tip + tip_noise * rng.standard_normal(len(tip))
+            file.write_segment(_group(case, f"push {i + 1:04d}", one, tip))
     return path
 
 
-def _group(case: Case, name: str, one: Recording) -> list:
+def _group(case: Case, name: str, one: Recording, tip: np.ndarray | None = None) -> list:
     said = {
         "velocity_mm_min": round(one.push.velocity / MM_MIN, 9),
         "mass_kg": case.mass_of(one.push),
@@ -233,10 +242,12 @@ def _group(case: Case, name: str, one: Recording) -> list:
         return ChannelObject(name, which, samples, waveform)
 
     position = np.round(one.position * 1e6, 6)
+    tips = [] if tip is None else [channel("pusher", "um", np.round(tip * 1e6, 6))]
     return [
         GroupObject(name, said),
         channel("force", "N", one.force),
         channel("position", "um", position),
+        *tips,
     ]
 
 

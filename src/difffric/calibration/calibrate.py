@@ -27,11 +27,13 @@ from difffric.measurements.checks import check_data
 from difffric.measurements.latched_distances import describe_latch
 from difffric.measurements.pusher_tracking import describe_tracking
 from difffric.measurements.pushes import Pushes
+from difffric.measurements.recorded_motion import describe_motion
 from difffric.measurements.recordings import Recordings
-from difffric.measurements.reduction.reduce import Reduction, reduce_recordings
+from difffric.measurements.reduction.recorded_pusher import reduce_for
+from difffric.measurements.reduction.reduce import Reduction
 from difffric.progress import Tell, silent
 from difffric.rig.rig import Rig
-from difffric.rig.setup import Setup, check_rig
+from difffric.rig.setup import Setup, check_rig, refuse_recorded_motion
 from difffric.simulation.segments import Integrator
 
 
@@ -96,15 +98,15 @@ def fit(
         if robust:
             raise InputError("robust: expected a table; recordings are fitted sample by sample")
         tell("reducing the recordings", 0.0)
-        reduction = reduce_recordings(recordings, skip_bad=skip_bad)
+        reduction = reduce_for(setup, recordings, skip_bad)
         pushes = reduction.pushes
         task = _arrange(setup, pushes, wishes)
-        task.notes.extend(describe_tracking(reduction.recordings, rig.pusher.stroke))
-        task.notes.extend(describe_latch(reduction))
+        task.notes.extend(_describe_recordings(setup, reduction))
         search = RecordingSearch(task.model, reduction, task.starts, tell, thorough)
         state, reached = search.run()
     else:
         pushes = check_data(data, rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
+        refuse_recorded_motion(setup, pushes.no_pusher)
         reduction = None
         if free_start:
             raise InputError(
@@ -125,14 +127,21 @@ def refine_fit(setup: Setup, reduction: Reduction, worth: float = 0.0) -> Fit:
     """
     wishes = _Wishes(None, ("mu_s",), False, False, False, False, None)
     task = _arrange(setup, reduction.pushes, wishes)
-    task.notes.extend(describe_tracking(reduction.recordings, setup.rig.pusher.stroke))
-    task.notes.extend(describe_latch(reduction))
+    task.notes.extend(_describe_recordings(setup, reduction))
     search = RecordingSearch(task.model, reduction, task.starts, silent, thorough=False, near=worth)
     try:
         found = search.run()
     except NumericalError:
         found = replace(search, near=None).run()
     return build_fit(setup, reduction.pushes, reduction, *found, task.notes)
+
+
+def _describe_recordings(setup: Setup, reduction: Reduction) -> tuple[str, ...]:
+    """What a reader should know of the recordings: how the pusher moved, and what d is counted
+    from."""
+    recordings = reduction.recordings
+    notes = describe_motion(recordings), describe_tracking(recordings, setup.rig.pusher.stroke)
+    return (*notes[0], *notes[1], *describe_latch(reduction))
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.calibration.result import Fit
+from difffric.compute.pytrees import pick
 from difffric.estimation.coordinates import rig_at
 from difffric.estimation.residuals import Grid
 from difffric.estimation.stacked_data import RECORDINGS, SLIDES
@@ -80,7 +81,7 @@ def _rig_of(fit: Fit, i: int) -> tuple[Rig, float]:
     c[0] += at.s_eta[i]  # mu_s is the first coordinate
     rig = rig_at(model.rig, jnp.asarray(c))
     if rig.pusher.stroke is not None:
-        rig = parameters.with_stroke(rig, float(np.asarray(data.pushes.stroke)[i]))
+        rig = parameters.with_stroke(rig, pick(data.pushes.stroke, i))
     return rig, float(fit.start[i])
 
 
@@ -119,6 +120,8 @@ def _compare_channel(
         one = a - b
         zero = float(one @ residual / (one @ one))
         residual = residual - zero * one
+        if grid.doubt is not None:
+            residual = residual - grid.doubt[i] * (grid.doubt[i] @ residual)
     n = int(np.flatnonzero(a)[-1]) + 1
     whitened = np.where(a > 0, weight * residual, np.nan)
     return TraceComparison(t[:n], y[:n] - zero, model[:n], whitened[:n])
@@ -128,10 +131,10 @@ def simulate_condition(fit: Fit, condition: str, speeds: NDArray) -> Family | No
     """The calibrated F_p and d of a condition over speeds (n,) [m/s].
 
     They are at the condition's mean mu_s and at one scatter below and above. None where its pushes
-    differ in mass or stroke, and for free slides, which have no push.
+    differ in mass, stroke or recorded motion, and for free slides, which have no push.
     """
     mine = [i for i, c in enumerate(fit.conditions) if c == condition]
-    if fit.kind == SLIDES:
+    if fit.kind == SLIDES or fit.pushes.motion is not None:
         return None
     rigs = [_rig_of(fit, i)[0] for i in mine]
     if np.ptp([float(r.mass) for r in rigs]) > 0 or len({_stroke(r) for r in rigs}) > 1:

@@ -161,6 +161,7 @@ class RecordingSearch:
             len(coordinates.names(rig)),
             jumps,
             _GUARD if self.model.free_start else 0.0,
+            pushes.motion,
         )
         return replace(self.model, rig=rig), replace(data, worth=self.near or 0.0)
 

@@ -22,6 +22,7 @@ from difffric.commands.options import (
     require_positive,
 )
 from difffric.errors import InputError
+from difffric.rig.setup import refuse_recorded_motion
 
 
 def monitor(
@@ -54,7 +55,9 @@ def monitor(
     require_positive("--idle-s", idle_s)
     if follow and len(data) != 1:
         raise InputError(f"--follow: expected one .tdms, got {len(data)} files")
-    feed = df.monitoring.feed.Feed(read_setup_for(setup, channel), arl=arl, state=state)
+    known = read_setup_for(setup, channel)
+    refuse_recorded_motion(known, "monitor: follows pushes at constant speed")
+    feed = df.monitoring.feed.Feed(known, arl=arl, state=state)
     with show_progress(quiet) as tell:
         if follow:
             feed.on_push = reports.monitor.make_teller(feed)

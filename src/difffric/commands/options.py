@@ -99,6 +99,20 @@ def load_data(
     return replace(loaded, notes=(*loaded.notes, *refuse_wrong_units(loaded, setup.rig)))
 
 
+def load_motions(data: Path, setup: df.Setup) -> df.Recordings:
+    """Load recordings, each with the motion of its pusher.
+
+    Raises `InputError` for a table, and where a pusher cannot be used.
+    """
+    from difffric.measurements.load_file import load
+    from difffric.measurements.recorded_motion import take_recorded_motion
+
+    loaded = load(data, channels=setup.channels)
+    if isinstance(loaded, df.Pushes):
+        raise InputError(f"--motion {data}: expected recordings with a channel pusher, got a table")
+    return take_recorded_motion(loaded)
+
+
 def load_rig(
     setup: Path,
     mu_s: float | None = None,

@@ -10,7 +10,16 @@ import typer
 from difffric.axis.files.file_kind import is_axis_file
 from difffric.commands import reports
 from difffric.commands.console import check_out, print_and_write, show_progress
-from difffric.commands.options import Out, Quiet, Setup, load_rig, require_positive
+from difffric.commands.options import (
+    Channel,
+    Out,
+    Quiet,
+    Setup,
+    load_motions,
+    load_rig,
+    read_setup_for,
+    require_positive,
+)
 from difffric.errors import InputError
 from difffric.units import from_mm_min
 
@@ -26,8 +35,13 @@ def simulate(
         float | None, typer.Option(help="Stroke, in place of the set-up's.")
     ] = None,
     motion: Annotated[
-        Path | None, typer.Option(help="For an axis: the forces that drive it, .csv or .tdms.")
+        Path | None,
+        typer.Option(
+            help="What drives it: the forces on an axis, .csv or .tdms; for pushes, recordings "
+            "with a channel pusher, .tdms."
+        ),
     ] = None,
+    channel: Channel = None,
     out: Out = None,
     quiet: Quiet = False,
 ) -> None:
@@ -37,6 +51,16 @@ def simulate(
         from difffric.commands.axis import run  # pushes need none of it
 
         return run.run_simulate(setup, motion, out, quiet)
+    if motion is not None:
+        if velocity_mm_min is not None or stroke_mm is not None:
+            raise InputError("--motion: the recorded motion has its own speed and stroke")
+        said = read_setup_for(setup, channel)
+        rig = load_rig(setup, mu_s, mass_kg)
+        recordings = load_motions(motion, said)
+        with show_progress(quiet) as tell:
+            answer = reports.simulate.describe_motions(rig, recordings, mass_kg is None, tell)
+        print_and_write(reports.simulate.report_motions(answer, recordings), answer, out)
+        return None
     if velocity_mm_min is None:
         raise InputError("--velocity-mm-min is missing: expected the pusher's speed in mm/min")
     rig = load_rig(setup, mu_s, mass_kg, stroke_mm)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from difffric.compute.pytrees import pick
 from difffric.estimation.block_means import stack_uneven
 from difffric.estimation.effect_coordinates import PLAIN, Coordinates
 from difffric.estimation.ensemble import EnsembleTask, Fits
@@ -24,7 +26,7 @@ from difffric.estimation.stacked_data import find_strokes
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.reduction.reduce import Reduction
 from difffric.rig import parameters
-from difffric.rig.catalogue import CATALOGUE, FORCE, PROBE, RATIO, extended, numbers_of
+from difffric.rig.catalogue import CATALOGUE, FORCE, PROBE, PUSHER, RATIO, extended, numbers_of
 from difffric.rig.rig import Rig
 from difffric.rig.scales import Scales
 from difffric.units import GRAVITY
@@ -33,6 +35,8 @@ NOT_IN_RECORDINGS = ("sample_clipping", "release_threshold", "release_latch")
 """Effects that only reduced numbers have."""
 IN_SLIDES = ("quadratic_drag", "stribeck", "friction_drift", "normal_force")
 """Effects that a free slide shows, whose place on the rails is not known."""
+_PUSHERS = tuple(e for e, one in CATALOGUE.items() if one.component == PUSHER)
+"""Effects that a recorded motion leaves no room for."""
 _FIRST_NOISE = 0.02
 """Noise that is assumed where it is to be estimated, as a share of the largest number."""
 _SAME = 1e-6
@@ -92,18 +96,20 @@ def prepare_data(
         data = stack_uneven(reduction.recordings, reduction.details, strokes, frequency)
         counts = np.stack([(blocks.a > 0).sum(axis=1) for blocks in data], axis=1).astype(float)
         open_ = (False, False)
-        left_out, kind = NOT_IN_RECORDINGS, RECORDINGS
+        # A recorded motion is the whole motion: no effect of a pusher stands around it.
+        left_out = NOT_IN_RECORDINGS if measured.motion is None else (*NOT_IN_RECORDINGS, *_PUSHERS)
+        kind = RECORDINGS
     pushes = StackedPushes(
         velocity=measured.velocity,
         mass=mass,
-        stroke=strokes,
+        stroke=strokes if measured.motion is None else measured.motion,
         share=(order - order.min()) / (span or 1.0),
         rest=np.nan_to_num(measured.rest_before),
         data=data,
     )
     names = list(dict.fromkeys(measured.condition))
     task = EnsembleTask(
-        model=_extend_by_all(rig, pushes, kind, left_out),
+        model=_extend_by_all(rig, pushes, kind, left_out, measured.motion),
         shared=(),
         condition=np.array([names.index(c) for c in measured.condition]),
         open_spread=open_,
@@ -125,12 +131,13 @@ def follow_in_columns(data: DiagnosisData) -> DiagnosisData:
 
 
 def _extend_by_all(
-    rig: Rig, pushes: StackedPushes, kind: str, left_out: Sequence[str]
+    rig: Rig, pushes: StackedPushes, kind: str, left_out: Sequence[str], motion: Any
 ) -> ExtendedModel:
     """Return the model of a plain rig with all effects of the catalogue at their nulls, but for
-    those left out. Bristles have no null: the model adds them itself where they are asked for."""
+    those left out, its tip moving as the stacked `motion` has it, if there is one. Bristles
+    have no null: the model adds them itself where they are asked for."""
     every = {e: {} for e in CATALOGUE if e not in left_out}
-    plain = parameters.with_stroke(rig, 1.0)
+    plain = parameters.with_stroke(rig, 1.0 if motion is None else pick(motion, 0))
     coordinates = Coordinates.of(extended(plain, every))
     whole = extended(plain, {e: keys for e, keys in every.items() if e != PRESLIDING})
     return ExtendedModel(coordinates, whole, pushes, kind, plain=plain)
@@ -186,6 +193,8 @@ def _list_impossible(
         out["friction_drift"] = "too few pushes to show a drift"
     if np.ptp(mass) < _SAME * mass.max():
         out["normal_force"] = "every push had the same mass: a normal force is one with mu_s"
+    if measured.motion is not None:
+        out |= dict.fromkeys(_PUSHERS, "the pusher's motion is the recorded one")
     if reduction is not None:
         for name in NOT_IN_RECORDINGS:
             out[name] = "recordings hold the samples themselves"

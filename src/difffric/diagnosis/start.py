@@ -38,12 +38,12 @@ from difffric.estimation.stacked_data import TABLE
 from difffric.measurements.checks import check_data
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
-from difffric.measurements.reduction.reduce import reduce_recordings
+from difffric.measurements.reduction.recorded_pusher import reduce_for
 from difffric.progress import Tell
 from difffric.rig import parameters
 from difffric.rig.catalogue import numbers_of
 from difffric.rig.rig import Rig
-from difffric.rig.setup import Setup
+from difffric.rig.setup import Setup, refuse_recorded_motion
 
 _SLIDE_READ = 1e-3
 """Relative error of a free slide's distance where none is known: so small that all by which its
@@ -99,12 +99,13 @@ def prepare_start(
         checked: Pushes | Recordings = check_data(
             given, plain, use_data_mass=use_data_mass, skip_bad=skip_bad
         )
-        reduction = reduce_recordings(checked, skip_bad=skip_bad)
+        reduction = reduce_for(own, checked, skip_bad)
         measured, noise = reduction.pushes, None
     else:
         checked = measured = check_data(
             given, plain, use_data_mass=use_data_mass, skip_bad=skip_bad
         )
+        refuse_recorded_motion(own, measured.no_pusher)
         reduction, noise = None, _collect_errors(plain, measured)
     data = prepare_data(plain, measured, reduction, noise)
     combined = is_out_of_reach(data)

@@ -150,7 +150,7 @@ class Coordinates:
 
     def rig(self, rig: Rig, c: Any, given: Mapping[str, Any], stroke: Any) -> Rig:
         """The rig of one push at coordinates c (coordinates,), with what the push's record says:
-        numbers by name, and the pusher's stroke [m]; traceable."""
+        numbers by name, and the pusher's stroke [m] or recorded motion; traceable."""
         at = parameters.with_push(rig, {**self._law_numbers(c), **given}, stroke)
         known = len(self.names) - len(FORMED)
         if self.names[known:] != FORMED:

@@ -60,7 +60,7 @@ class StackedPushes(NamedTuple):
     mass: Array
     """[kg]"""
     stroke: Array
-    """[m]"""
+    """[m], or the tips' recorded motions"""
     share: Array
     """of friction's drift: 0 at the first push, 1 at the last"""
     rest: Array
@@ -125,6 +125,8 @@ def _answer_recordings(
             one = _whiten(blocks, jnp.ones_like(blocks.y))
             norm = jnp.sum(one**2)
             A = A - one[:, None] * ((one @ A) / jnp.where(norm > 0, norm, 1.0))
+        if blocks.doubt is not None:
+            A = A - blocks.doubt[:, None] * (blocks.doubt @ A)
         return A
 
     by_f, by_x = (jnp.moveaxis(a, 0, 1) for a in by)

@@ -14,11 +14,14 @@ from difffric.rig.rig import Rig
 def make_push_rigs(rig: Rig, pushes: Pushes) -> Rig:
     """The rig spread over n pushes: each number of it an array (n,).
 
-    A push that says its mass [kg] or its stroke [m] has that one, any other the rig's.
+    A push that says its mass [kg] or its stroke [m] has that one, any other the rig's; one whose
+    tip's motion was recorded moves so.
     """
     rigs = replicate(rig, len(pushes))
     mass = np.where(np.isnan(pushes.mass), rigs.mass, pushes.mass)
-    strokes = fill_strokes(rig.pusher.stroke, pushes.stroke)
+    strokes = pushes.motion
+    if strokes is None:
+        strokes = fill_strokes(rig.pusher.stroke, pushes.stroke)
     return parameters.override(rigs, {"mass_kg": mass}, strokes)
 
 

@@ -115,6 +115,9 @@ class Grid(NamedTuple):
     """the index of the sample before, across gaps"""
     curve: Array
     """(): 1/24 of a block's squared length over the squared step, 0 for single samples"""
+    doubt: Array | None = None
+    """(m,) w, where something besides noise is not known of the position: whitened, centred
+    residuals r are taken as r - w (w r). None: nothing"""
 
 
 class TracePush(NamedTuple):
@@ -123,6 +126,7 @@ class TracePush(NamedTuple):
 
     velocity: Array
     stroke: Array
+    """[m], or the tip's recorded motion"""
     force: Grid
     position: Grid
 
@@ -184,8 +188,8 @@ def _factorise(
 
 
 def set_stroke(rig: Rig, stroke: Array) -> Rig:
-    """The rig with this push's stroke [m], if it has any; without one the pusher stops at the first
-    loss of contact."""
+    """The rig with this push's stroke [m] or recorded motion, if it has any; without one the pusher
+    stops at the first loss of contact."""
     return rig if rig.pusher.stroke is None else parameters.with_stroke(rig, stroke)
 
 
@@ -211,4 +215,5 @@ def _centre_residuals(grid: Grid, model: Array) -> Array:
 
     r, one = _whiten_residuals(grid, model), _whiten(grid, jnp.ones_like(grid.y))
     norm = jnp.sum(one**2)
-    return r - one * (jnp.sum(one * r) / jnp.where(norm > 0, norm, 1.0))
+    r = r - one * (jnp.sum(one * r) / jnp.where(norm > 0, norm, 1.0))
+    return r if grid.doubt is None else r - grid.doubt * jnp.sum(grid.doubt * r)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.compute.pytrees import map_tree
+from difffric.compute.pytrees import map_tree, pick
 from difffric.errors import InputError
 from difffric.estimation.block_means import stack_even
 from difffric.estimation.coordinates import START, to_coordinate
@@ -76,11 +76,13 @@ def pad(array: Any, n: int) -> Any:
     return map_tree(lambda a: np.asarray(a)[index], array)
 
 
-def find_strokes(rig: Rig, stroke: NDArray) -> tuple[Rig, NDArray]:
+def find_strokes(rig: Rig, stroke: NDArray, motion: Any = None) -> tuple[Rig, NDArray]:
     """Each push's stroke [m], infinite without one; and the rig, which then has a stroke too
-    wherever a push has one."""
+    wherever a push has one, and a recorded motion where the pushes have (stacked)."""
     own = rig.pusher.stroke
     strokes = fill_strokes(own, stroke)
+    if motion is not None:
+        return parameters.with_stroke(rig, pick(motion, 0)), np.asarray(stroke, float)
     if strokes is None:
         return rig, np.full(len(stroke), np.inf)
     return parameters.with_stroke(rig, np.inf if own is None else float(own)), strokes
@@ -171,20 +173,23 @@ def traces_data(
     coordinates: int,
     jumps: NDArray | None = None,
     guard: float = 0.0,
+    motion: Any = None,
 ) -> tuple[Rig, FitData]:
-    """Whole recordings, and the rig, with a stroke where one of them has one.
+    """Whole recordings, and the rig, with a stroke where one of them has one, or with the stacked
+    `motion` that was recorded of the tips.
 
     A channel's samples come as `coordinates` + 1 rows of equal weight. `fastest` [rad/s], `jumps`
     (n, any) [s] and `guard` [s] are those of `block_means.stack_even`.
     """
-    rig, strokes = find_strokes(rig, np.array([r.stroke for r in recordings]))
+    rig, strokes = find_strokes(rig, np.array([r.stroke for r in recordings]), motion)
     made = stack_even(recordings, details, strokes, fastest, jumps, guard)
+    pushes = made.pushes if motion is None else made.pushes._replace(stroke=motion)
     weights = np.repeat(np.where(made.counts > 0, 1.0 / made.levels, 0.0), coordinates + 1, axis=1)
     n = len(recordings)
     none = np.zeros(0)
     return rig, FitData(
         kind=RECORDINGS,
-        pushes=pad(made.pushes, n),
+        pushes=pad(pushes, n),
         n=n,
         weights=weights,
         group=np.full(weights.shape, -1),

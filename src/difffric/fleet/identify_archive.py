@@ -31,7 +31,7 @@ from difffric.fleet.workers import Lost, Runner, start_workers
 from difffric.identification.push_models import are_many
 from difffric.output_folder import open_folder
 from difffric.progress import Tell, silent
-from difffric.rig.setup import Setup
+from difffric.rig.setup import Setup, refuse_recorded_motion
 from difffric.rig.setup_toml import read_setup
 
 FILES = 32
@@ -148,7 +148,9 @@ def read_setups(
             continue
         try:
             text = Path(source.setup).read_bytes()
-            found[source.rig] = read_setup(source.setup), hashlib.sha256(text).hexdigest()
+            known = read_setup(source.setup)
+            refuse_recorded_motion(known, f"{source.setup}: a fleet is pushed at constant speed")
+            found[source.rig] = known, hashlib.sha256(text).hexdigest()
         except (InputError, OSError) as error:
             if given is not None and source.setup == str(Path(given).absolute()):
                 raise InputError(str(error)) from None

@@ -23,10 +23,11 @@ from difffric.measurements.checks import check_data
 from difffric.measurements.latched_distances import describe_latch
 from difffric.measurements.pusher_tracking import describe_tracking
 from difffric.measurements.pushes import Pushes
+from difffric.measurements.recorded_motion import describe_motion
 from difffric.measurements.recordings import Recordings
 from difffric.progress import Tell, silent
 from difffric.rig.rig import Rig
-from difffric.rig.setup import Setup, check_rig
+from difffric.rig.setup import Setup, check_rig, refuse_recorded_motion
 from difffric.simulation.segments import Integrator
 
 if TYPE_CHECKING:
@@ -70,13 +71,14 @@ def identify(
     if isinstance(data, Recordings):
         data = check_data(data, known.rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
         # Here, as a table needs neither this nor the fit of recordings, with which JAX comes.
-        from difffric.measurements.reduction.reduce import reduce_recordings
+        from difffric.measurements.reduction.recorded_pusher import reduce_for
 
         tell("reducing the recordings", 0.0)
-        reduction = reduce_recordings(data, skip_bad=skip_bad)
+        reduction = reduce_for(known.setup, data, skip_bad)
         pushes = reduction.pushes
     else:
         pushes = check_data(data, known.rig, use_data_mass=use_data_mass, skip_bad=skip_bad)
+        refuse_recorded_motion(known.setup, pushes.no_pusher)
     if not pushes.free_slides:
         tell("inverting forces and distances", 0.2)
     resolved = ResolvedPushes.of(known, pushes, integrator=integrator, range_ratio=range_ratio)
@@ -95,6 +97,7 @@ def identify(
     tell("done", 1.0)
     notes = describe_agreement(answers)
     if reduction is not None:
+        notes += describe_motion(reduction.recordings)
         notes += describe_tracking(reduction.recordings, known.rig.pusher.stroke)
         notes += describe_latch(reduction)
     return Identified(tuple(answers), pushes.skipped, notes)

@@ -135,9 +135,13 @@ class PushModels(NumberTree):
         numbers = (np.asarray(x)[which] for x in (*list_leaves(self.rigs), self.velocity))
         code = np.zeros(len(which), int)
         for column in (*numbers, log_mu_s[:, 0], log_mu_s[:, -1]):
-            values, own = np.unique(column, return_inverse=True)
+            if column.ndim > 1:  # a recorded motion's: its rows
+                column = column.reshape(len(column), -1)
+                values, own = np.unique(column, axis=0, return_inverse=True)
+            else:
+                values, own = np.unique(column, return_inverse=True)
             if len(values) > 1:
-                code = np.unique(code * len(values) + own, return_inverse=True)[1]
+                code = np.unique(code * len(values) + own.ravel(), return_inverse=True)[1]
         _, first, again = np.unique(code, return_index=True, return_inverse=True)
         (F, d), (dF, dd), kind = self.pick(which[first]).observe_rows(log_mu_s[first])
         chosen = by_force[:, None]

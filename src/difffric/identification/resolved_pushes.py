@@ -43,6 +43,8 @@ class Calibration:
     """condition -> rig, covariance of the coordinates of `names`"""
     spreads: tuple[float, float]
     """of F_p [N] and d [m], as the calibration found them; NaN: it did not"""
+    setup: Setup
+    """the set-up that it is of"""
 
     @classmethod
     def read(cls, rig: Rig | Setup | Fit) -> Calibration:
@@ -59,7 +61,8 @@ class Calibration:
                 covariance[np.ix_(here, here)] = fit.covariance[np.ix_(found, found)]
                 return at, covariance
 
-            return cls(fit.rig, names, of_fit, (fit.spread_force, fit.spread_distance))
+            spreads = fit.spread_force, fit.spread_distance
+            return cls(fit.rig, names, of_fit, spreads, replace(fit.setup, rig=fit.rig))
         setup = rig if isinstance(rig, Setup) else Setup(rig)
         said = {
             name: x.standard_error
@@ -74,6 +77,7 @@ class Calibration:
             tuple(errors),
             lambda condition: (setup.rig, np.diag(variance)),
             (np.nan, np.nan),
+            setup,
         )
 
 

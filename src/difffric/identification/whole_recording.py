@@ -62,7 +62,15 @@ def fit_recordings(
     fastest = float(np.sqrt(2 * given["k_N_per_m"].max() / given["mass_kg"].min()))
     everyone, s_eta, jumps = np.arange(n), np.zeros(n), None
     for masking in range(_MASKINGS):
-        spread, data = traces_data(rig, recordings, reduction.details, fastest, len(every), jumps)
+        spread, data = traces_data(
+            rig,
+            recordings,
+            reduction.details,
+            fastest,
+            len(every),
+            jumps,
+            motion=reduction.pushes.motion,
+        )
         model = Model(spread, integrator, plan, _OPEN, False)
         at = first_point(model, data, np.zeros(0))
         last = masking == _MASKINGS - 1

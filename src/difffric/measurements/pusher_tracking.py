@@ -33,14 +33,14 @@ class Tracking:
 
 
 def track_pusher(recording: Recording, stroke: float | None = None) -> Tracking | None:
-    """The tip of a recording beside its command; None without a channel `pusher` or where it has
-    no sample since t = 0.
+    """The tip of a recording beside its command; None without a channel `pusher`, where it has no
+    sample since t = 0, or where the recorded motion drives the push.
 
     `stroke` [m] is that of the rig, where the recording says none; without either the tip is taken
     to stop where it did. The tip's zero is arbitrary: it is read before t = 0, and where nothing
     was recorded then, the first sample since is as commanded.
     """
-    if recording.pusher is None:
+    if recording.pusher is None or recording.motion is not None:
         return None
     t, y = recording.pusher.time, recording.pusher.samples
     moving, v = t >= 0, recording.velocity

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from difffric.compute.pytrees import pick
 from difffric.errors import InputError
 
 _NOT_MEASURED: Any = None  # what may be left out; an instance holds NaN there
@@ -62,6 +63,9 @@ class Pushes:
     """place in the order of the pushes"""
     rest_before: NDArray = _NOT_MEASURED
     """rest before the push [s]"""
+    motion: Any = None
+    """the recorded motions that drive the tips (`rig.pusher.RecordedMotion`), stacked; None: they
+    go at `velocity`"""
     source: str = ""
     """the file they come from"""
     skipped: tuple[str, ...] = ()
@@ -100,6 +104,11 @@ class Pushes:
         return len(self.velocity)
 
     @property
+    def no_pusher(self) -> str:
+        """What a message says of a table where a recorded pusher is asked for."""
+        return f"{self.source or 'the data'}: a table has no channel pusher"
+
+    @property
     def free_slides(self) -> bool:
         """Whether only the slide from its release was measured, without a push."""
         return bool(np.isnan(self.velocity).all())
@@ -108,8 +117,11 @@ class Pushes:
         """The pushes that `keep` names: a mask (n,) or indices."""
         index = np.arange(len(self))[keep]
         changed = {name: getattr(self, name)[index] for name in COLUMNS if name != "condition"}
-        return replace(self, **changed, condition=tuple(self.condition[i] for i in index))
+        motion = None if self.motion is None else pick(self.motion, index)
+        chosen = tuple(self.condition[i] for i in index)
+        return replace(self, **changed, condition=chosen, motion=motion)
 
 
-COLUMNS = tuple(f.name for f in fields(Pushes) if f.name not in ("source", "skipped", "notes"))
+_OF_ALL = ("motion", "source", "skipped", "notes")
+COLUMNS = tuple(f.name for f in fields(Pushes) if f.name not in _OF_ALL)
 """The fields that have an entry a push."""

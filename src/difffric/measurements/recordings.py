@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import overload
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -81,6 +81,9 @@ class Recording:
     """of the file's group"""
     started: float = np.nan
     """when it was recorded [s since 1970, UTC]"""
+    motion: Any = None
+    """the tip's motion (`recorded_motion.SmoothedMotion`) where it drives the push; None: the tip
+    goes at `velocity` up to its stroke"""
 
     def in_newtons(self, sensitivity: float) -> Recording:
         """The recording with its force in newtons; a force in volts is divided by the force

@@ -22,7 +22,7 @@ from difffric.errors import InputError
 from difffric.rig import catalogue
 from difffric.rig.catalogue import Effect, Key
 from difffric.rig.friction import innermost
-from difffric.rig.pusher import ConstantSpeed
+from difffric.rig.pusher import make_pusher
 from difffric.rig.rig import Rig
 from difffric.value_ranges import NOT_NEGATIVE, POSITIVE, RATIO, Range
 
@@ -247,7 +247,8 @@ def override(rig: Rig, given: Mapping[str, Any], stroke: Any = None) -> Rig:
 
 def with_push(rig: Rig, numbers: Mapping[str, Any], stroke: Any) -> Rig:
     """The rig of one push: with the laws' own numbers replaced, by parameter name (the inverse of
-    an acceleration, for example, whose null is 0 and not infinite), and the pusher's stroke [m].
+    an acceleration, for example, whose null is 0 and not infinite), and the pusher's stroke [m] or
+    recorded motion.
 
     The names are not checked.
     """
@@ -255,7 +256,7 @@ def with_push(rig: Rig, numbers: Mapping[str, Any], stroke: Any) -> Rig:
     return put_parts(
         rig,
         lambda r: [*(at(r) for at in places), innermost(r.pusher)],
-        [*numbers.values(), ConstantSpeed(stroke)],
+        [*numbers.values(), make_pusher(stroke)],
     )
 
 
@@ -283,5 +284,6 @@ def _place(name: str) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
 
 
 def with_stroke(rig: Rig, stroke: Any) -> Rig:
-    """The rig whose pusher stops after `stroke` [m]; None: at the first loss of contact."""
-    return put_parts(rig, lambda r: [innermost(r.pusher)], [ConstantSpeed(stroke)])
+    """The rig whose pusher stops after `stroke` [m]; None: at the first loss of contact. A recorded
+    motion may stand for the stroke: the tip then moves so."""
+    return put_parts(rig, lambda r: [innermost(r.pusher)], [make_pusher(stroke)])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import abc
 from math import inf, pi
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from difffric.compute import arrays as xp
 from difffric.compute.elementary_functions import sin_cos
@@ -62,8 +62,14 @@ class AbstractPusher(NumberTree, abc.ABC):
         """Time constant [s] at which V follows its command."""
         return 0.0
 
-    def rise(self, t: Number, v: Number, risen: Truth) -> Number:
-        """V [m/s] at the time t [s] before the stop; `risen`: whether the command has come to v."""
+    def corner(self, v: Number, passed: Any) -> Number:
+        """When the next corner of V comes [s], after so many `passed` ones (a whole number);
+        infinite: there is none."""
+        return xp.where(passed < 1, self.ramp_time(v), inf)
+
+    def rise(self, t: Number, v: Number, passed: Any) -> Number:
+        """V [m/s] at the time t [s] before the stop; `passed`: how many corners of V lie behind (a
+        whole number)."""
         return v
 
     def fall(self, t: Number, V: Number) -> Number:
@@ -83,6 +89,47 @@ class ConstantSpeed(AbstractPusher):
     """
 
     stroke: Number | None = None
+
+
+class RecordedMotion(AbstractPusher):
+    """The motion that was recorded of the tip, smoothed: V is a polynomial of second degree between
+    corners, V = c_0 + c_1 s + c_2 s^2 at s = t - corner, and the tip stands once it is over.
+
+    A trajectory of its own: no effect of a pusher stands around it.
+    """
+
+    corners: Any
+    """(pieces,) when each piece begins [s]: the first at 0, and infinite beyond the last, which is
+    so at the end at least"""
+    rates: Any
+    """(pieces, 3) c_0 [m/s], c_1 [m/s^2], c_2 [m/s^3]"""
+    end: Number
+    """when the tip stands [s]"""
+    constant: ClassVar[bool] = False
+
+    @property
+    def stroke(self) -> Number | None:
+        """Infinite: the motion's end decides."""
+        return inf
+
+    def find_travel_left(self, t: Number, y: Number, ahead: Number, v: Number) -> Number:
+        return (self.end - t) * v
+
+    def stops_at_release(self) -> Truth:
+        return False
+
+    def corner(self, v: Number, passed: Any) -> Number:
+        return self.corners[passed + 1]
+
+    def rise(self, t: Number, v: Number, passed: Any) -> Number:
+        s = t - self.corners[passed]
+        c = self.rates[passed]
+        return c[0] + s * (c[1] + s * c[2])
+
+
+def make_pusher(stroke: Any) -> AbstractPusher:
+    """The pusher that keeps its speed up to `stroke` [m]; of a recorded motion, that one itself."""
+    return stroke if isinstance(stroke, RecordedMotion) else ConstantSpeed(stroke)
 
 
 class AbstractPusherEffect(AbstractPusher):
@@ -118,8 +165,11 @@ class AbstractPusherEffect(AbstractPusher):
     def lag(self) -> Number:
         return self.law.lag()
 
-    def rise(self, t: Number, v: Number, risen: Truth) -> Number:
-        return self.law.rise(t, v, risen)
+    def corner(self, v: Number, passed: Any) -> Number:
+        return self.law.corner(v, passed)
+
+    def rise(self, t: Number, v: Number, passed: Any) -> Number:
+        return self.law.rise(t, v, passed)
 
     def fall(self, t: Number, V: Number) -> Number:
         return self.law.fall(t, V)
@@ -188,8 +238,11 @@ class Ramp(AbstractPusherEffect):
     def ramp_time(self, v: Number) -> Number:
         return self.law.ramp_time(v) + v * self.slowness
 
-    def rise(self, t: Number, v: Number, risen: Truth) -> Number:
-        return _follow_ramp(t, v, self.ramp_time(v), self.lag(), risen)
+    def corner(self, v: Number, passed: Any) -> Number:
+        return xp.where(passed < 1, self.ramp_time(v), inf)
+
+    def rise(self, t: Number, v: Number, passed: Any) -> Number:
+        return _follow_ramp(t, v, self.ramp_time(v), self.lag(), passed > 0)
 
 
 class Lag(AbstractPusherEffect):
@@ -206,8 +259,8 @@ class Lag(AbstractPusherEffect):
     def lag(self) -> Number:
         return self.tau
 
-    def rise(self, t: Number, v: Number, risen: Truth) -> Number:
-        return _follow_ramp(t, v, self.ramp_time(v), self.tau, risen)
+    def rise(self, t: Number, v: Number, passed: Any) -> Number:
+        return _follow_ramp(t, v, self.ramp_time(v), self.tau, passed > 0)
 
     def fall(self, t: Number, V: Number) -> Number:
         return V * _decay(t, self.tau)

@@ -39,6 +39,16 @@ class Setup:
     """of the file that it was read from: a new file keeps its comments and layout"""
     channels: Mapping[str, str] = field(default_factory=dict)
     """what files of data call a channel or column, by our name, such as Kraft for force"""
+    recorded_motion: bool = False
+    """whether the recorded channel `pusher` of each push is its tip's motion, in place of its speed
+    and the stroke"""
+
+
+def refuse_recorded_motion(setup: Setup, what: str) -> None:
+    """Raise `InputError` where a set-up asks for the recorded pusher; `what` says of what has none:
+    a table has no channel pusher."""
+    if setup.recorded_motion:
+        raise InputError(f'{what}, and the set-up has [pusher] motion = "recorded"')
 
 
 def check_rig(rig: Rig) -> Rig:

@@ -39,6 +39,9 @@ from difffric.rig.rig import Rig
 from difffric.rig.setup import Extras, Setup
 from difffric.rig.setup_schema import FILES, iterate_entries, validate_document
 
+RECORDED = "recorded"
+"""The word of a pusher whose motion is the recorded one."""
+
 
 def load_setup(path: str | os.PathLike) -> Rig:
     """The rig of a setup.toml. Raises `InputError` naming all that is wrong with the file."""
@@ -72,6 +75,7 @@ def parse_setup(text: str, name: str = "setup.toml") -> Setup:
     except ArithmeticError:
         raise InputError(f"{name}: an exponent is beyond all numbers") from None
     document = _read_older_keys(document, name)
+    document, recorded = _take_motion(document, name)
     model = validate_document(document, name)
     values, extras, sizes, inverses = {}, {}, {}, {}
     for q, entry, is_table in iterate_entries(model, document):
@@ -95,7 +99,34 @@ def parse_setup(text: str, name: str = "setup.toml") -> Setup:
         rig = catalogue.with_numbers(rig, inverses)
     names = dict(getattr(model, FILES))
     text = text.replace("\r\n", "\n")
-    return Setup(rig, values.get("mu_s_scatter"), extras, text, channels=names)
+    scatter = values.get("mu_s_scatter")
+    return Setup(rig, scatter, extras, text, channels=names, recorded_motion=recorded)
+
+
+def _take_motion(document: dict[str, Any], name: str) -> tuple[dict[str, Any], bool]:
+    """The document without the word of how the pusher moves, and whether it moves as recorded.
+
+    Raises `InputError`, led by the file's `name`, for another word, and for an effect of the pusher
+    beside a motion that was recorded.
+    """
+    pusher = document.get("pusher")
+    if not isinstance(pusher, dict) or "motion" not in pusher:
+        return document, False
+    if pusher["motion"] != RECORDED:
+        got = pusher["motion"]
+        said = json.dumps(got, ensure_ascii=False) if isinstance(got, str | bool) else got
+        raise InputError(f'{name}: [pusher] motion: expected "{RECORDED}", got {said}')
+    effects = document.get("effects")
+    own = [e.id for e in catalogue.CATALOGUE.values() if e.component == catalogue.PUSHER]
+    beside = [f"[effects.{e}]" for e in own if isinstance(effects, dict) and e in effects]
+    beside += ["[pusher] duration_ms"] if "duration_ms" in pusher else []
+    if beside:
+        raise InputError(
+            f'{name}: [pusher] motion = "{RECORDED}" is the whole motion, leave out '
+            f"{' and '.join(beside)}"
+        )
+    rest = {key: x for key, x in pusher.items() if key != "motion"}
+    return document | {"pusher": rest}, True
 
 
 def _read_older_keys(document: dict[str, Any], name: str) -> dict[str, Any]:
@@ -189,6 +220,8 @@ def _format_tables(setup: Setup, name: str) -> dict[str, dict[str, str]]:
                 tables[section][q.key] = text
     if problems:
         raise InputError("\n".join(f"{name}: {problem}" for problem in problems))
+    if setup.recorded_motion:
+        tables["pusher"]["motion"] = json.dumps(RECORDED)
     tables[FILES] = {k: json.dumps(x, ensure_ascii=False) for k, x in setup.channels.items()}
     return {section: table for section, table in tables.items() if table}
 

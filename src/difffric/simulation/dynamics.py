@@ -59,8 +59,8 @@ class Course(NamedTuple):
     """at what speed [m/s]"""
     beyond: Bool[Array, ""]
     """whether the part is past the place where the load jumps"""
-    risen: Bool[Array, ""]
-    """whether the pusher's command has come to its speed"""
+    corners: Int[Array, ""]
+    """corners of the pusher's speed that lie behind: where its ramp ended, for example"""
     way: Float[Array, ""]
     """1 where the part moves forwards, -1 where bristles push it back"""
 
@@ -81,7 +81,7 @@ class Motion(NamedTuple):
         """(V, y'): the tip's speed [m/s] before any ripple, and with it."""
         pusher = self.rig.pusher
         fall = pusher.fall(jnp.where(course.stopped, s.t - course.t_stop, 0.0), course.V_stop)
-        V = jnp.where(course.stopped, fall, pusher.rise(s.t, self.v, course.risen))
+        V = jnp.where(course.stopped, fall, pusher.rise(s.t, self.v, course.corners))
         return V, V * pusher.ripple(s.y)
 
     def position(self, s: PhasePoint) -> Float[Array, ""]:

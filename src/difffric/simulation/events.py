@@ -53,7 +53,7 @@ class Event(_Code):
     LOAD_JUMP = 5, "the part comes to the place where the load jumps"
     FORCE_PEAK = 6, "the contact force is highest"
     SLOWEST = 7, "the part is slowest"
-    RAMP_END = 8, "the pusher's command has come to its speed"
+    CORNER = 8, "the pusher's speed has a corner: where its ramp ends, or a piece of its motion"
     RELEASE = 9, "contact is lost"
     CATCH = 10, "the part comes into contact again"
 

@@ -13,12 +13,14 @@ from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, 
 from difffric.measurements.checks import check_data
 from difffric.measurements.noise import Noise
 from difffric.measurements.pushes import Pushes
+from difffric.measurements.recorded_motion import describe_motion
 from difffric.measurements.recordings import Recordings
-from difffric.measurements.reduction.reduce import Reduced, reduce_recordings
+from difffric.measurements.reduction.recorded_pusher import reduce_for
+from difffric.measurements.reduction.reduce import Reduced
 from difffric.name_text import shorten_name
 from difffric.number_text import format_number, format_pair
 from difffric.rig import parameters
-from difffric.rig.setup import Setup
+from difffric.rig.setup import Setup, refuse_recorded_motion
 from difffric.units import to_mm_min, to_um
 
 if TYPE_CHECKING:
@@ -53,8 +55,9 @@ def examine(
         either, setup.rig, use_data_mass=use_data_mass, skip_bad=skip_bad
     )
     if isinstance(good, Pushes):
+        refuse_recorded_motion(setup, good.no_pusher)
         return Examined(good, None, (), good.skipped)
-    reduction = reduce_recordings(good, skip_bad=skip_bad)
+    reduction = reduce_for(setup, good, skip_bad)
     recordings = reduction.recordings
     return Examined(reduction.pushes, recordings, reduction.details, recordings.skipped)
 
@@ -148,6 +151,7 @@ def _summarise(found: Examined, known: Identifiability, setup: Setup) -> list[st
         missing = int(np.isnan(getattr(p, name)).sum())
         if missing and not (p.free_slides and name == "peak_force"):
             lines.append(f"{what} is missing in {missing} of {len(p)} {kind}.")
+    lines += [f"{note[:1].upper()}{note[1:]}." for note in describe_motion(found.recordings or ())]
     open_ = [name for group in known.not_identifiable for name in group["parameters"]]
     if open_:
         lines.insert(0, f"Not determined by these data: {', '.join(open_)}.")

@@ -8,12 +8,15 @@ import numpy as np
 
 from difffric.commands import figures
 from difffric.commands.reports.page import NO_STROKE, Picture, Report, Section, Table
+from difffric.measurements.recorded_motion import describe_motion
+from difffric.measurements.recordings import Recordings
 from difffric.number_text import format_number
+from difffric.progress import Tell
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
 from difffric.simulation.events import Regime, explain
 from difffric.simulation.sensitivities import regime_margin, sensitivity
-from difffric.units import from_mm_min, to_um
+from difffric.units import from_mm_min, to_mm_min, to_um
 
 _REGIMES = {
     "no_motion": "The part does not move.",
@@ -47,6 +50,45 @@ def describe_simulation(rig: Rig, velocity: float) -> dict:
             "sliding_distance_m": {k: float(v) for k, v in found.sliding_distance.items()},
         },
     }
+
+
+def describe_motions(rig: Rig, recordings: Recordings, own_mass: bool, tell: Tell) -> dict:
+    """Simulate the pushes that recorded motions drive, and return them as result.json holds them;
+    `own_mass`: whether what a recording says of the mass counts."""
+    rows = []
+    for i, push in enumerate(recordings):
+        tell("simulating", i / len(recordings))
+        mass = push.mass if own_mass and np.isfinite(push.mass) else None
+        at = parameters.override(rig, {"mass_kg": mass}, push.motion.law)
+        answer = describe_simulation(at, push.velocity)
+        for by in answer["derivatives"].values():
+            by.pop("velocity_m_per_s", None)  # the motion is what it is
+        motion = {
+            "travel_m": push.motion.travel,
+            "end_s": push.motion.end,
+            "bandwidth_Hz": push.motion.bandwidth,
+            "noise_m": push.motion.noise,
+        }
+        rows.append({"name": push.name, "motion": motion, **answer})
+    return {"pushes": rows}
+
+
+def report_motions(answer: dict, recordings: Recordings) -> Report:
+    """Return the report of pushes that recorded motions drive."""
+    rows = [
+        [
+            row["name"],
+            format_number(to_mm_min(row["motion"]["travel_m"] / row["motion"]["end_s"]), 5),
+            format_number(row["peak_force_N"], 6),
+            row["reason"] or format_number(to_um(row["sliding_distance_m"]), 6),
+            row["regime"].replace("_", " "),
+        ]
+        for row in answer["pushes"]
+    ]
+    head = ("push", "mean speed [mm/min]", "F_p [N]", "d [µm]", "regime")
+    table = Table("Pushes", head, rows)
+    title = f"{len(rows)} pushes driven by their recorded pushers"
+    return Report(title, list(describe_motion(recordings)), [Section("Pushes", (), [table])])
 
 
 def draw_simulation(rig: Rig, velocity: float) -> list[Picture]:

@@ -124,7 +124,9 @@ def cut_at(task: EnsembleTask, horizon: NDArray) -> EnsembleTask:
     def cut(blocks: UnevenBlocks) -> UnevenBlocks:
         first, second = (np.take_along_axis(blocks.t, x, 1) for x in blocks[1:3])
         keep = 0.5 * (first + second) < horizon[:, None]
-        return blocks._replace(a=np.where(keep, blocks.a, 0.0), b=np.where(keep, blocks.b, 0.0))
+        doubt = None if blocks.doubt is None else np.where(keep, blocks.doubt, 0.0)
+        a, b = (np.where(keep, x, 0.0) for x in (blocks.a, blocks.b))
+        return blocks._replace(a=a, b=b, doubt=doubt)
 
     both = tuple(cut(blocks) for blocks in task.model.pushes.data)
     counts = np.stack([(blocks.a > 0).sum(axis=1) for blocks in both], axis=1).astype(float)

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from difffric.compute.pytrees import map_tree
 from difffric.errors import InputError
 from difffric.measurements.noise import LONGEST, Noise, estimate_quiet_noise, pool_noise, read_quiet
 from difffric.measurements.pushes import Pushes
@@ -47,6 +49,9 @@ class Reduced:
     release_velocity: float = np.nan
     """the part's speed there [m/s]"""
     release_velocity_se: float = np.nan
+    release_velocity_doubt: float = 0.0
+    """standard deviation [m/s] of the part's true speed there about a model's, by what the recorded
+    motion that drives it is off"""
     deceleration: float = np.nan
     """mean over the free slide [m/s^2]"""
     deceleration_se: float = np.nan
@@ -274,11 +279,21 @@ def reduce_recordings(recordings: Recordings, *, skip_bad: bool = False) -> Redu
         release_velocity_se=np.where(tiny, np.nan, column("release_velocity_se")),
         condition=tuple(r.condition for r in kept),
         source=recordings.source,
+        motion=_stack_motions(kept),
         skipped=kept.skipped,
         notes=kept.notes,
         **{name: column(name, kept) for name in _COPIED},
     )
     return Reduction(kept, pushes, details)
+
+
+def _stack_motions(recordings: Recordings) -> Any:
+    """The motions that drive the tips, stacked; None where they go at their commanded speeds."""
+    motions = [r.motion for r in recordings]
+    if any(motion is None for motion in motions):
+        return None
+    laws = [motion.law for motion in motions]
+    return map_tree(lambda *leaves: np.stack(leaves), laws[0], *laws[1:])
 
 
 _COPIED = ("mass", "stroke", "mu_s_gauge", "order", "rest_before")

@@ -130,7 +130,7 @@ class StepLoop(NamedTuple):
             t_stop=zero,
             V_stop=zero,
             beyond=no,
-            risen=jnp.asarray(rig.pusher.ramp_time(v) <= 0),
+            corners=jnp.asarray(rig.pusher.corner(v, 0) <= 0, int),
             way=jnp.ones(()),
         )
         # At rest on its bristles, which hold it against the slope.
@@ -237,11 +237,11 @@ class StepLoop(NamedTuple):
             for event in end.guards
         }
         if plan.corner is not None:
-            waits = ~c.risen
+            waits = jnp.isfinite(plan.corner)
             slope = jnp.where(waits, -1.0, 0.0)
             left = jnp.where(waits, plan.corner - (y.t - s.t), 1.0)
             start = jnp.where(waits, plan.corner, 1.0), slope
-            found[Event.RAMP_END] = Guard.of(h, start, (left, slope, jnp.zeros_like(h)))
+            found[Event.CORNER] = Guard.of(h, start, (left, slope, jnp.zeros_like(h)))
         # The force is highest where its rate falls through zero, the part slowest where x'' rises.
         closing = c.mode == Mode.CLOSING
         rises = closing & ~m.summited & (begin.dN > 0)

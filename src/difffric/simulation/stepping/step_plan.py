@@ -39,7 +39,7 @@ class StepPlan(NamedTuple):
     at_once: Array
     """whether it goes straight to the breakaway"""
     corner: Array | None
-    """until the command has come to its speed [s]; None: it has from the start"""
+    """until the next corner of the pusher's speed [s]; None: it keeps one speed"""
 
 
 def plan_step(rules: Rules, m: LoopState, begin: StepStart) -> StepPlan:
@@ -60,10 +60,10 @@ def plan_step(rules: Rules, m: LoopState, begin: StepStart) -> StepPlan:
     aim = jnp.where(aims, m.target, rests)
     corner = None
     if not pusher.constant:
-        corner = pusher.ramp_time(motion.v) - s.t
-        meets = ~c.risen & (corner <= h)
+        corner = pusher.corner(motion.v, c.corners) - s.t
+        meets = corner <= h
         h = jnp.where(meets, corner, h)
-        aim = jnp.where(meets, Event.RAMP_END, aim)
+        aim = jnp.where(meets, Event.CORNER, aim)
     return StepPlan(stop_gradient(h), aim, aims, at_once, corner)
 
 

@@ -200,7 +200,7 @@ class Rules(NamedTuple):
             V_stop=jnp.where(stops, V, c.V_stop),
             touching=(c.touching & ~at.releases) | at.catches | at.touches,
             beyond=c.beyond | at.is_of(Event.LOAD_JUMP),
-            risen=c.risen | at.is_of(Event.RAMP_END),
+            corners=c.corners + at.is_of(Event.CORNER),
         )
         if self.motion.rig.friction.uneven:
             # An edge where another event leaves the part is passed with it: a step of no length
