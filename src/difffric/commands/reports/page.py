@@ -14,6 +14,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from difffric import leftovers
 from difffric.output_folder import open_folder, to_json_types
 
 if TYPE_CHECKING:
@@ -91,7 +92,8 @@ def _render_png(figure: Figure, dpi: int) -> bytes:
 def write_folder(
     folder: str | os.PathLike, answer: Any, report: Report, files: Mapping[str, bytes] | None = None
 ) -> Path:
-    """Write result.json, report.html, the figures and other `files`; all of them or none.
+    """Write result.json, report.html, the figures and other `files`; all of them or none, also
+    where the process is told to end.
 
     Returns the folder. Raises `InputError` where it cannot be written.
     """
@@ -104,9 +106,11 @@ def write_folder(
         **{f"{p.name}.png": _render_png(p.figure, 150) for p in report.pictures},
     }
     with open_folder(folder) as path:
-        with tempfile.TemporaryDirectory(dir=path, prefix=".writing-") as staging:
+        staged = tempfile.TemporaryDirectory(dir=path, prefix=".writing-")
+        with staged as staging, leftovers.guard(Path(staging)):
             for name, content in contents.items():
                 (Path(staging) / name).write_bytes(content)
-            for name in contents:
-                os.replace(Path(staging) / name, path / name)
+            with leftovers.PLACING:
+                for name in contents:
+                    os.replace(Path(staging) / name, path / name)
         return path
