@@ -32,7 +32,7 @@ class Steps:
         start, end = self._ends[self._number - 1 : self._number + 1]
         self._tell(place + what, start)
 
-        def tell(what: str, share: float, /) -> None:
-            self._tell(place + what, start + (end - start) * share)
+        def tell(part: str, share: float, /) -> None:
+            self._tell(f"{place}{what}, {part}", start + (end - start) * share)
 
         return tell

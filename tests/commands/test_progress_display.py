@@ -61,6 +61,7 @@ def test_without_a_last_time_the_pace_says_what_remains_once_there_is_one():
     assert remaining.estimate(50.0) == pytest.approx(70.0)
     remaining.tell(0.2, 60.0)  # a share that falls is no progress
     assert remaining.estimate(60.0) == pytest.approx(60.0)
+    assert remaining.estimate(230.0) == pytest.approx(100.0)  # what goes on goes on
 
 
 def test_a_course_holds_when_each_share_was_done_first():
@@ -140,7 +141,7 @@ def test_who_asks_for_quiet_sees_nothing(cache, monkeypatch):
 
 def test_a_terminal_shows_what_is_done_how_far_and_what_remains(cache):
     keep_durations("fit 2^0", False, BEFORE, {})
-    console = Console(file=StringIO(), force_terminal=True, width=60)
+    console = Console(file=StringIO(), force_terminal=True, color_system=None)
     display = ProgressDisplay(["fit"], False, console)
     display.tell("step 1 of 7: fitting", 0.0)
     with console.capture() as shown:

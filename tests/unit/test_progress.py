@@ -15,9 +15,9 @@ def test_the_parts_of_a_step_share_what_the_step_is_of_the_whole():
     second("all", 1.0)
     assert [what for what, _ in heard] == [
         "step 1 of 2: first",
-        "step 1 of 2: half",
+        "step 1 of 2: first, half",
         "step 2 of 2: second",
-        "step 2 of 2: all",
+        "step 2 of 2: second, all",
     ]
     assert [share for _, share in heard] == pytest.approx([0.0, 0.1, 0.2, 1.0])
     Steps(silent, (1.0,)).begin("heard by nobody")("neither", 0.5)

@@ -239,7 +239,7 @@ def study(progress: Tell = silent) -> Paper:
     plain = fit(rig, reachable)
     values = {label: plain.value(label) for label in plain.free}
     tell_known("equation (2), fitted to what it can reach", format_values(values))
-    tell = steps.begin("judging each speed by the others, equation (2)")
+    tell = steps.begin("judging by equation (2)")
     starts = [Setup(plain.rig)] * (int(folds.max()) + 1)
     plain_by = judge(measured, folds, starts, plain, hide_d=impossible, tell=tell)
     found = explain_table(rig, measured, folds, steps.begin("looking for what it lacks"))
@@ -252,7 +252,7 @@ def study(progress: Tell = silent) -> Paper:
         folds,
         [found.extend_setup(one) for one in found.list_blind(found.best)],
         extended,
-        tell=steps.begin("judging each speed by the others, the extended model"),
+        tell=steps.begin("judging by the extended model"),
     )
     steps.begin("looking for the next experiment")
     proposals = _propose(found, extended)
@@ -304,7 +304,7 @@ def judge(
     for j, start in enumerate(starts):
         now = folds == j
         v = find_speed(measured, int(np.argmax(now)))
-        tell(f"judging {v:.0f} mm/min by the other speeds", j / len(starts))
+        tell(f"{v:.0f} mm/min by the other speeds", j / len(starts))
         blind = fit(start, hide(measured, now, hidden | now), several_starts=False)
         own = identify(blind, measured.select(now), range_ratio=ratio)
         answers |= dict(zip(np.flatnonzero(now).tolist(), own, strict=True))

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _FIRST, _NEXT = 15.0, 30.0
 """When [s] the first line comes where there is no terminal, and those after it: a log is not to be
 filled, and who waits is to see that something goes on."""
-_BAR = 30
+_BAR = 24
 """Characters of the bar."""
 _SOON = 1.0
 """A program is told of when it has been compiled for so long [s]: most are done sooner."""

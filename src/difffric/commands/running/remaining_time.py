@@ -15,6 +15,8 @@ _AS_BEFORE = 5.0
 _SOONEST, _FIRST_SHARE = 5.0, 0.1
 """Without a last time, the seconds and the share from which on the pace until then says
 anything."""
+_GOES_ON = 0.5
+"""Without a last time, what remains at least, as a share of the time since the last news."""
 
 
 class RemainingTime:
@@ -45,7 +47,8 @@ class RemainingTime:
             if share < _FIRST_SHARE or now < _SOONEST:
                 return None
             left = since * (1 - share) / share - (now - since)
-            return left if left > 0 else None
+            # A part that goes on for long will go on for a while.
+            return max(left, _GOES_ON * (now - since))
         reached = _interpolate(share, self.before)
         pace = (since + _AS_BEFORE) / (reached + _AS_BEFORE)
         place = bisect_right(self.before.shares, share)
