@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
+from difffric import leftovers
 from difffric.errors import InputError
 
 
@@ -40,9 +41,10 @@ def write_whole(path: str | os.PathLike, write: Callable[[IO[bytes]], Any]) -> N
     target = Path(os.path.realpath(path))
     temporary = target.with_name(f".{target.name}.{uuid.uuid4().hex}")
     try:
-        with open(temporary, "xb") as file:
-            write(file)
-        os.replace(temporary, target)
+        with leftovers.guard(temporary):
+            with open(temporary, "xb") as file:
+                write(file)
+            os.replace(temporary, target)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
     finally:

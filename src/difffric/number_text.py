@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 MISSING = "–"
 """What stands where there is no number."""
@@ -35,3 +36,8 @@ def format_pair(value: float | None, error: float | None) -> tuple[str, str]:
         return format_number(value, 6), MISSING
     places = max(0, 1 - math.floor(math.log10(error)))
     return f"{value:.{places}f}", f"{error:.{places}f}"
+
+
+def format_values(values: Mapping[str, float]) -> str:
+    """Return numbers with their names on one line: `k_N_per_m = 8.02e+05, mu_s = 0.141`."""
+    return ", ".join(f"{name} = {format_number(value)}" for name, value in values.items())

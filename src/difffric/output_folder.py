@@ -10,6 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from difffric import leftovers
 from difffric.errors import InputError
 
 
@@ -42,7 +43,8 @@ def open_folder(folder: str | os.PathLike) -> Iterator[Path]:
     missing = [p for p in (path, *path.parents) if not p.exists()]
     path.mkdir(parents=True, exist_ok=True)
     try:
-        yield path
+        with leftovers.guard(*reversed(missing), whole=False):
+            yield path
     except BaseException:
         for made in missing:
             with suppress(OSError):  # it holds something after all

@@ -16,6 +16,7 @@ from difffric.acquisition.card import (
 from difffric.acquisition.push import Acquired, Command
 from difffric.acquisition.stream import CardStream
 from difffric.errors import DifffricError, InputError
+from difffric.known_so_far import KEPT_ON_DISK, tell_known
 from difffric.measurements.files.tdms_writer import RecordingWriter
 from difffric.measurements.recordings import Recording
 from difffric.progress import Tell, silent
@@ -64,6 +65,7 @@ def acquire(
             with _name_card_failures(name):
                 acquired, recording = stream.record(name, i + 1, command, on_push is not None)
             made.append(acquired)
+            tell_known(KEPT_ON_DISK, f"{path}: {len(made)} whole pushes")
             for words in acquired.troubles:
                 tell(f"{name}: {words}", (i + 1) / len(pushes))
             if on_push:

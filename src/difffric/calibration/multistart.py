@@ -20,7 +20,9 @@ from difffric.estimation.descent import Model, Settled, descend, first_point, ta
 from difffric.estimation.mixed_fit import settle
 from difffric.estimation.push_friction import rescan_push_friction
 from difffric.estimation.stacked_data import TABLE, FitData
-from difffric.progress import Tell
+from difffric.known_so_far import tell_known
+from difffric.number_text import format_values
+from difffric.progress import Tell, silent
 from difffric.rig import parameters
 
 Ends = list[tuple[float, Settled, int]]
@@ -116,6 +118,14 @@ def _join_alike(ends: list[tuple[float, Settled]]) -> Ends:
     return distinct
 
 
+def tell_best_fit(model: Model, at: Settled, tell: Tell) -> None:
+    """Tell where the best fit stands by now, unless it is a part of other work, which hears of
+    nothing."""
+    if tell is not silent:
+        values = format_values(model.layout.value(at.theta))
+        tell_known("the fit", f"the best by now, without error bars: {values}")
+
+
 def fit_from_starts(
     model: Model, data: FitData, starts: list[NDArray], tell: Tell
 ) -> tuple[FitState, tuple[int, int]]:
@@ -131,6 +141,8 @@ def fit_from_starts(
             break
         tell("settling", 0.4 + 0.1 * i)
         contest.enter(replace(at, scatter=max(at.scatter, model.scatter)), count)
+        if contest.fits:
+            tell_best_fit(model, contest.best, tell)
     contest.tried = sum(n for *_, n in distinct)  # those that were not worth following, too
     if not contest.fits:
         raise NumericalError("fit: the misfit is not finite wherever the search led")

@@ -10,7 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.calibration.mu_s_branches import find_branches
-from difffric.calibration.multistart import ALIKE, REFINED, descend_from, search_roughly
+from difffric.calibration.multistart import (
+    ALIKE,
+    REFINED,
+    descend_from,
+    search_roughly,
+    tell_best_fit,
+)
 from difffric.calibration.result import FitState
 from difffric.calibration.table_starts import fit_forces
 from difffric.errors import InputError, NumericalError
@@ -182,6 +188,7 @@ class RecordingSearch:
         if self.near is not None:
             rounds, elsewhere = 2 * _LAST_ROUNDS, []
         at = settle(model, data, at, trust=_TRUST, rounds=rounds)
+        tell_best_fit(model, at, self.tell)
         while rounds > _LAST_ROUNDS:
             jumps = np.asarray(at.end.jumps)[: data.n]
             model, data = self._stack_samples(jumps, stiffest)

@@ -5,7 +5,8 @@ the folder that `--out` names.
 - `simulate`, `family`, `acquire`, `fit`, `identify`, `diagnose`, `monitor`, `ring`, `plan`,
   `centre`, `export`, `warm` and `paper` hold a function of their own name each: it checks the
   options, calls the package that does the work, and hands what was found to its report.
-- `first_steps` holds those for the first minutes with data of one's own (`init`, `check`).
+- `first_steps` holds those for the first minutes with data of one's own (`init`, `check`);
+  `running` what is the same for all: what is shown meanwhile, Ctrl-C, and `report-bug`.
 - `options` and `fleet_options` hold the options that several commands share; `console` shows
   progress, prints tables and writes the folder.
 - `reports` turns what was found into result.json and a page, `figures` into pictures;

@@ -12,9 +12,13 @@ import difffric as df
 from difffric.commands import reports
 from difffric.commands.console import check_out, print_and_write
 from difffric.commands.options import Out, Quiet, require_positive
+from difffric.commands.running.interruption import COMMAND
 from difffric.errors import InputError
 from difffric.output_folder import open_folder
 from difffric.units import from_mm
+
+_LET_GO = 5.0
+"""How long [s] a card may take to be stopped and closed, after Ctrl-C: it must not push on."""
 
 
 def acquire(
@@ -73,7 +77,12 @@ def acquire(
             )
     mass = float("nan") if known is None else float(known.rig.mass)
     pushes = reports.acquire.plan_commands(velocity_mm_min or (), stroke=stroke, mass=mass)
-    with open_folder(out or Path()) as folder, card as session:
+    with (
+        open_folder(out or Path()) as folder,
+        COMMAND.keep_known(),
+        COMMAND.take_time(_LET_GO),
+        card as session,
+    ):
         run = reports.acquire.record(session, pushes, folder, setup=known, quiet=quiet, plot=plot)
     note = reports.acquire.NO_STROKE if stroke is None else None
     seeded = None if simulate is None else seed

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,8 @@ from rich.console import Console
 from difffric.commands import reports
 from difffric.commands.layout.json_output import is_json_asked
 from difffric.commands.layout.terminal_tables import lay_out
+from difffric.commands.running.interruption import COMMAND, name_partial
+from difffric.commands.running.progress_display import ProgressDisplay
 from difffric.errors import InputError
 from difffric.name_text import make_printable
 from difffric.output_folder import check_writable
@@ -31,7 +33,7 @@ def open_console(*, stderr: bool = False) -> Console:
 
 
 class ShownProgress:
-    """Tells a bar how far the work has come, and the work's timings which part of it goes on."""
+    """Tells a display how far the work is, and the work's timings which part of it goes on."""
 
     def __init__(self, show: Tell, timings: Timings):
         self._show, self.timings = show, timings
@@ -44,28 +46,24 @@ class ShownProgress:
 
 @contextmanager
 def show_progress(quiet: bool) -> Iterator[ShownProgress]:
-    """Yield `tell(what, share done)`, which shows a bar on standard error unless quiet, and keeps
-    the timings of what is done within."""
-    # Here, as a command's help shows no bar and would wait for its import.
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    """Yield `tell(what, share done)`, which shows on standard error what goes on, unless quiet;
+    keep the timings of what is done within, and what is known of it by then, for Ctrl-C."""
+    display = ProgressDisplay(sys.argv[1:], quiet, open_console(stderr=True))
+    with keep_timings() as timings, COMMAND.keep_known(), display:
 
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
-    console = open_console(stderr=True)
-    shown = Progress(
-        *columns, console=console, transient=True, disable=quiet or not console.is_terminal
-    )
-    with keep_timings() as timings, shown as bar:
-        task = bar.add_task("starting", total=1.0)
-        yield ShownProgress(
-            lambda what, share: bar.update(task, description=make_printable(what), completed=share),
-            timings,
-        )
+        def show(what: str, share: float) -> None:
+            COMMAND.now = what
+            display.tell(what, share)
+
+        yield ShownProgress(show, timings)
+        COMMAND.now = ""
 
 
 def check_out(out: Path | None) -> None:
     """Raise `InputError` where `--out` cannot be written, before the work and not after it."""
     if out is not None:
         check_writable(out)
+        COMMAND.out = out
 
 
 def check_setup_stays(out: Path | None, setup: Path) -> None:
@@ -106,6 +104,8 @@ def print_and_write(
         _print_report(report)
     if out is not None:
         reports.page.write_folder(out, answer, report, files)
+        with suppress(OSError):  # what was known when an earlier run was stopped
+            name_partial(out).unlink(missing_ok=True)
         names = ", ".join(["result.json", "report.html", *(files or {}), "figures"])
         if not is_json_asked():
             open_console().print(f"written to {out}: {names}")

@@ -29,6 +29,8 @@ from difffric.commands.options import (
     read_setup_for,
 )
 from difffric.errors import InputError
+from difffric.known_so_far import tell_known
+from difffric.number_text import format_pair
 
 
 def fit(
@@ -108,6 +110,9 @@ def fit(
             use_data_mass=use_data_mass,
             skip_bad=skip_bad,
         )
+        pairs = {x: format_pair(found.value(x), found.standard_error(x)) for x in found.free}
+        words = ", ".join(f"{label} = {' ± '.join(pair)}" for label, pair in pairs.items())
+        tell_known("the fit", words, found.as_dict())
         answer = reports.fit.Answer.of(found)
         answer = reports.fit.add_more(answer, profile, next_push, tell)
         tell("drawing", 0.99)

@@ -12,12 +12,14 @@ import os
 import sys
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
 from difffric.commands.layout.json_output import add_json_option
+from difffric.commands.running import durations, last_error, versions
+from difffric.commands.running.interruption import COMMAND
 from difffric.compute.programs import private_folder
 from difffric.errors import DifffricError, InputError
 
@@ -38,14 +40,15 @@ COMMANDS = {
     "simulate": "Simulate one push: F_p, d, regime, derivatives; or the motion of an axis.",
     "family": "Compute F_p and d over speed and mu_s, and the fits (3) and (5) of the paper.",
     "warm": "Compile what the commands need for a set-up, so that their first run starts at once.",
+    "report-bug": "Print what a report of a fault needs: the versions and the last error.",
     "paper": "Analyse the measurements of the paper: its tables and figures, and the model's.",
 }
 """Each command, and what `--help` says it does."""
 
-FIRST_STEPS = ("check", "init")
-"""Those that lie in the folder `first_steps`."""
+FOLDERS = {"check": "first_steps.", "init": "first_steps.", "report-bug": "running."}
+"""Where those lie that do not lie beside this module."""
 
-WITHOUT_RESULT = ("init", "warm")
+WITHOUT_RESULT = ("init", "report-bug", "warm")
 """Those that write no result.json."""
 
 _GARBAGE = 100_000
@@ -64,6 +67,9 @@ class LazyGroup(TyperGroup):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Take the arguments apart; show a command's help before any of them is converted, as what
         converts them (pydantic) takes longer to load than all that the help needs."""
+        if args[:1] == ["--version"]:
+            typer.echo("\n".join(versions.list_versions()))
+            ctx.exit()
         if args[1:2] == ["--help"] and args[0] in COMMANDS:
             command = load_command(args[0])
             with typer.Context(command, info_name=args[0], parent=ctx) as own:
@@ -80,8 +86,9 @@ class LazyGroup(TyperGroup):
 
 def load_command(name: str) -> Any:
     """Import a command's module and return the command with its options."""
-    folder = "first_steps." if name in FIRST_STEPS else ""
-    function = getattr(importlib.import_module(f"difffric.commands.{folder}{name}"), name)
+    own = name.replace("-", "_")
+    module = importlib.import_module(f"difffric.commands.{FOLDERS.get(name, '')}{own}")
+    function = getattr(module, own)
     alone = typer.Typer(**_LIKE_ALL)
     alone.command(name, help=COMMANDS[name])(function)
     command = typer.main.get_command(alone)
@@ -104,30 +111,57 @@ for _name, _help in COMMANDS.items():
     app.command(_name, help=_help)(_list_only)
 
 
+@app.callback()
+def begin(
+    version: Annotated[
+        bool, typer.Option("--version", help="the versions that matter in a report of a fault")
+    ] = False,
+) -> None:
+    """Differentiable identification of sliding friction."""
+
+
 def main() -> None:
     """Run the command that the arguments name.
 
-    Bad input is one clear line on standard error and exit status 2, never a traceback.
+    Bad input is one clear line on standard error and exit status 2, never a traceback; so is what
+    nobody expected, with status 1, and its traceback is kept for `report-bug`. Ctrl-C ends with
+    status 130.
     """
     gc.set_threshold(_GARBAGE)
+    words = sys.argv[1:]
+    COMMAND.begin(words)
+    with COMMAND.watch():
+        sys.exit(_run(words))
+
+
+def _run(words: list[str]) -> int:
+    """Run a command line, and return its exit status."""
     try:
-        sys.exit(app(standalone_mode=False) or 0)
+        return app(standalone_mode=False) or 0
     except UsageError as error:
-        if not sys.argv[1:]:  # the help
+        if not words:  # the help
             error.show()
-            sys.exit(2)
+            return 2
         text = " ".join(error.format_message().split()).rstrip(".")
-        sys.stderr.write(f"difffric: {text}; --help says what is expected\n")
-        sys.exit(2)
+        return _fail(f"{text}; --help says what is expected", 2)
     except typer.Abort:
-        sys.stderr.write("difffric: aborted\n")
-        sys.exit(1)
+        return _fail("aborted", 1)
     except InputError as error:
-        sys.stderr.write(f"difffric: {error}\n")
-        sys.exit(2)
+        return _fail(str(error), 2)
     except DifffricError as error:
-        sys.stderr.write(f"difffric: {error}\n")
-        sys.exit(1)
+        last_error.keep_error(error, words)
+        return _fail(str(error), 1)
+    except Exception as error:
+        kept = last_error.keep_error(error, words)
+        said = " ".join(str(error).split())
+        do = "`difffric report-bug` puts together what a report needs" if kept else "please report"
+        where = last_error.find_place(error)
+        return _fail(f"a fault of difffric, {type(error).__name__} at {where}: {said}; {do}", 1)
+
+
+def _fail(words: str, status: int) -> int:
+    sys.stderr.write(f"difffric: {words}\n")
+    return status
 
 
 def prepare_jax() -> None:
@@ -141,6 +175,7 @@ def prepare_jax() -> None:
 
     cache = platformdirs.user_cache_path("difffric", appauthor=False)
     os.environ.setdefault("DIFFFRIC_PROGRAMS", str(cache / "programs"))
+    os.environ.setdefault(durations.CACHE, str(cache))
     folder = Path(os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache / "jax")))
     if folder.name and private_folder.make_private(folder):
         private_folder.sweep(folder)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -21,6 +20,7 @@ from difffric.commands.options import (
     read_setup_for,
     require_positive,
 )
+from difffric.commands.running.interruption import COMMAND
 from difffric.errors import InputError
 from difffric.rig.setup import refuse_recorded_motion
 
@@ -61,7 +61,7 @@ def monitor(
     with show_progress(quiet) as tell:
         if follow:
             feed.on_push = reports.monitor.make_teller(feed)
-            with suppress(KeyboardInterrupt):
+            with COMMAND.end_by_ctrl_c():
                 feed.follow(data[0], idle=idle_s, tell=tell)
         else:
             feed.files(data, use_data_mass=use_data_mass, skip_bad=skip_bad, tell=tell)

@@ -13,4 +13,5 @@ def paper(out: Out = None, quiet: Quiet = False) -> None:
     check_out(out)
     with show_progress(quiet) as tell:
         found = df.studies.paper.study(tell)
-    print_and_write(reports.paper.report_paper(found), found.as_dict(), out)
+        report, answer = reports.paper.report_paper(found), found.as_dict()
+    print_and_write(report, answer, out)

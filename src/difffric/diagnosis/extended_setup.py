@@ -31,11 +31,17 @@ def strip_effects(setup: Setup) -> tuple[Setup, dict[str, float]]:
     return replace(setup, rig=plain, extras=extras), known
 
 
+def describe_plain(task: EnsembleTask, fits: Fits) -> dict[str, float]:
+    """Return the plain model's numbers [SI] in `fits` (an ensemble of one), by name; mu_s is the
+    mean over the conditions."""
+    values = task.model.coordinates.values(fits.c[0], PLAIN)
+    found: dict[str, float] = dict(zip(PLAIN, map(float, values), strict=True))
+    return found | {"mu_s": float(np.exp(fits.mu[0].mean()))}
+
+
 def extend_rig(plain: Rig, task: EnsembleTask, fits: Fits) -> Rig:
     """Return the plain rig with the numbers and effects that `fits` (an ensemble of one) has."""
-    coordinates = task.model.coordinates
-    values: dict[str, float] = dict(zip(PLAIN, coordinates.values(fits.c[0], PLAIN), strict=True))
-    values["mu_s"] = float(np.exp(fits.mu[0].mean()))
+    coordinates, values = task.model.coordinates, describe_plain(task, fits)
     inside: dict[str, dict[str, float]] = {}
     names = [coordinates.names[i] for i in fits.extra[0]]
     for name, value in zip(names, coordinates.values(fits.c[0], names), strict=True):

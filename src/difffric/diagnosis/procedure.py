@@ -36,6 +36,7 @@ from difffric.diagnosis.combinations.explanation import explain_table
 from difffric.diagnosis.conclusion import Findings, NamedCause, conclude
 from difffric.diagnosis.cross_validation import CrossValidation, assign_folds
 from difffric.diagnosis.exploration import CandidateCause, explore, is_promising
+from difffric.diagnosis.extended_setup import describe_plain
 from difffric.diagnosis.impossible_measurements import find_unreachable
 from difffric.diagnosis.inferred.changes import measure_changes
 from difffric.diagnosis.lack_of_fit import LackOfFit, is_misfit_large, measure_lack_of_fit
@@ -52,8 +53,10 @@ from difffric.estimation import ensemble, ensemble_refits
 from difffric.estimation.effect_coordinates import PLAIN
 from difffric.estimation.ensemble import Fits
 from difffric.estimation.extended_model import PRESLIDING
+from difffric.known_so_far import tell_known
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
+from difffric.number_text import format_values
 from difffric.progress import Tell, silent
 from difffric.rig.catalogue import numbers_of
 from difffric.rig.rig import Rig
@@ -166,6 +169,9 @@ class _CauseSearch(CauseRounds):
             raise NumericalError(
                 "diagnose: the fitted plain model could not be followed through every push"
             )
+        if tell is not silent:  # a fleet's rig has its answer in the end, or none
+            values = describe_plain(task, plain)
+            tell_known("the plain fit, without error bars", format_values(values), values)
         lack = measure_lack_of_fit(task, plain)
         validation = CrossValidation(task, folds)
         return cls(setup, start, validation, matters, tell, plain, lack, plain)
@@ -279,6 +285,9 @@ class _CauseSearch(CauseRounds):
             return
         self.tell("fitting the causes", 0.7)
         self.base = self.whole = fit_causes(task, self.plain, found, items)
+        if items and self.tell is not silent:
+            named = ", ".join(item.effect for item in items)
+            tell_known("what stands out, before it is judged", named, named.split(", "))
         if items:
             bare = self._leave_out(self.base, *(item.effect for item in items))
             value = ensemble.criterion(task, ensemble.join(self.plain, bare))

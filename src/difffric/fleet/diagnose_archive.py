@@ -19,11 +19,12 @@ from difffric.diagnosis.shape_scan import SHAPED
 from difffric.errors import InputError
 from difffric.estimation.extended_model import PRESLIDING
 from difffric.fleet.archive import ArchiveFile, find_files
-from difffric.fleet.identify_archive import escape, read_setups
+from difffric.fleet.identify_archive import GOES_ON, escape, read_setups
 from difffric.fleet.member import ASKED, RESULT, SETUP, Member, Question, ask, examine
 from difffric.fleet.shared_effects import CAUSES, Combined, combine, find_different
 from difffric.fleet.verdict import FleetDiagnosis
 from difffric.fleet.workers import Lost, Runner, start_workers
+from difffric.known_so_far import KEPT_ON_DISK, tell_known
 from difffric.output_folder import open_folder
 from difffric.progress import Tell, silent
 from difffric.rig.catalogue import numbers_of
@@ -82,6 +83,7 @@ def diagnose_fleet(
             if why is not None:
                 bad[rig.name] = f"its process died: {why}" if isinstance(why, Lost) else why
             tell(f"diagnosing, {done} of {len(new)} rigs", _FIRST * done / len(new))
+            tell_known(KEPT_ON_DISK, f"the answers of {done} of {len(new)} rigs{GOES_ON}")
         answers = {name: answer for name, rig in rigs.items() if (answer := rig.answer)}
         _tidy(kept, [Path(rigs[name].folder) for name in answers])
         if not answers:

@@ -29,6 +29,7 @@ from difffric.fleet.columns import identify_columns
 from difffric.fleet.features import MADE_WITH
 from difffric.fleet.workers import Lost, Runner, start_workers
 from difffric.identification.push_models import are_many
+from difffric.known_so_far import KEPT_ON_DISK, tell_known
 from difffric.output_folder import open_folder
 from difffric.progress import Tell, silent
 from difffric.rig.setup import Setup, refuse_recorded_motion
@@ -40,6 +41,8 @@ BYTES = 4_000_000
 """What a task reads at most where its files are long, for the same reason."""
 ROWS = 8192
 """Pushes that a task identifies at most, and that a file of the data set holds."""
+GOES_ON = "; the same command goes on from there"
+"""How the sentence ends that says what a run has done when it is stopped."""
 DATA_SET, STATE = "pushes", ".fleet"
 _KEY = "difffric"
 
@@ -189,6 +192,7 @@ def _read_features(
             bad |= dict(found)
             done += len(one.sources)
             tell(f"reading recordings, {done} of {len(new)}", 0.7 * done / len(new))
+            tell_known(KEPT_ON_DISK, f"{done} of {len(new)} files are read{GOES_ON}")
         waiting = alone
     features.remove_unfinished(parts)
     kept = features.load_kept(parts, list(keys))
@@ -257,6 +261,7 @@ def _identify_all(table, rig_of, setups, out: Path, run: Runner, tell: Tell) -> 
         made += len(some)
         done += sum(len(part.table) for part in some)
         tell(f"identifying, {done} of {len(ordered)} pushes", 0.7 + 0.3 * done / len(ordered))
+        tell_known(KEPT_ON_DISK, f"{made} new files of the data set, each whole{GOES_ON}")
     _remove_others(out / DATA_SET, expected)
     return made
 

@@ -19,12 +19,14 @@ from difffric.identification.estimates import NONE, Estimates, Identified, PushF
 from difffric.identification.free_slide import estimate_by_slides
 from difffric.identification.inversion import BRACKET
 from difffric.identification.resolved_pushes import Calibration, ResolvedPushes
+from difffric.known_so_far import tell_known
 from difffric.measurements.checks import check_data
 from difffric.measurements.latched_distances import describe_latch
 from difffric.measurements.pusher_tracking import describe_tracking
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recorded_motion import describe_motion
 from difffric.measurements.recordings import Recordings
+from difffric.number_text import format_number
 from difffric.progress import Tell, silent
 from difffric.rig.rig import Rig
 from difffric.rig.setup import Setup, check_rig, refuse_recorded_motion
@@ -33,6 +35,9 @@ from difffric.simulation.segments import Integrator
 if TYPE_CHECKING:
     from difffric.calibration.result import Fit
     from difffric.measurements.reduction.reduce import Reduction
+
+_NAMED = 8
+"""Pushes whose mu_s a person is told where an identification is stopped; a file has all."""
 
 
 def identify(
@@ -92,6 +97,7 @@ def identify(
         answers = [combination.row(i) for i in range(len(pushes))]
     answers = _add_slides(resolved, answers)
     if reduction is not None:
+        tell_known("mu_s by force and distance", *_describe_known(answers))
         tell("fitting every sample", 0.6)
         answers = _add_recordings(known, resolved, reduction, answers)
     tell("done", 1.0)
@@ -101,6 +107,14 @@ def identify(
         notes += describe_tracking(reduction.recordings, known.rig.pusher.stroke)
         notes += describe_latch(reduction)
     return Identified(tuple(answers), pushes.skipped, notes)
+
+
+def _describe_known(answers: Sequence[PushFriction]) -> tuple[str, list[dict]]:
+    """What is known of the pushes before their samples are fitted: for a person, and for a file."""
+    found = [format_number(one.best.value) for one in answers[:_NAMED]]
+    more = ", ..." if len(answers) > _NAMED else ""
+    said = f"{', '.join(found)}{more} ({len(answers)} pushes)"
+    return said, [one.as_dict() for one in answers]
 
 
 def _add_slides(

@@ -15,6 +15,7 @@ import numpy as np
 
 from difffric.atomic_files import open_file
 from difffric.errors import InputError
+from difffric.known_so_far import tell_known
 from difffric.measurements.checks import check_data
 from difffric.measurements.files.tdms_reader import read_recordings
 from difffric.measurements.files.tdms_segments import read_contents
@@ -136,6 +137,8 @@ class Feed:
         for i, (source, item) in enumerate(planned):
             tell(f"push {i + 1} of {len(planned)}", i / len(planned))
             self._take(source, item)
+            found = f"{self.monitor.count} pushes, {len(self.monitor.alarms)} alarms"
+            tell_known("what was watched", found)
             if time.monotonic() - saved > _SAVED:
                 self.save()
                 saved = time.monotonic()

@@ -16,6 +16,7 @@ from dataclasses import asdict
 from hashlib import sha256
 from multiprocessing import get_context
 from pathlib import Path
+from signal import SIG_IGN, SIGINT, signal
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from difffric.compute.programs.private_folder import FOLDER
 from difffric.compute.programs.record import Record
 from difffric.compute.programs.store import find_folder
 from difffric.errors import DifffricError, InputError
+from difffric.known_so_far import KEPT_ON_DISK, tell_known
 from difffric.progress import Tell, silent
 from difffric.rig import parameters
 from difffric.rig.setup import Setup
@@ -132,13 +134,16 @@ def make_programs(
         return
     done: dict[int, dict[str, Record]] = {id(setup): {} for setup in missing}
     count = min(processes or len(os.sched_getaffinity(0)), len(work))
-    with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
+    # Ctrl-C reaches them, too: who started them kills them.
+    quiet = {"initializer": signal, "initargs": (SIGINT, SIG_IGN)}
+    with ProcessPoolExecutor(count, mp_context=get_context("spawn"), **quiet) as pool:
         running = {pool.submit(_run_task, *task): task for task in work}
         for k, future in enumerate(as_completed(running)):
             name, setup = running[future]
             why, used = future.result()
             done[id(setup)] |= {one.key: one for one in used}
             tell(name, (k + 1) / len(work))
+            tell_known(KEPT_ON_DISK, f"what {k + 1} of {len(work)} tasks had compiled")
             yield name, why, used
     for setup in missing:
         lines = json.dumps([asdict(one) for one in done[id(setup)].values()])

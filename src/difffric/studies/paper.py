@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 
 from difffric.diagnosis.impossible_measurements import compute_lossless_bound, find_unreachable
 from difffric.identification.surrogates import fit_force
+from difffric.known_so_far import tell_known
 from difffric.measurements.pushes import Pushes
-from difffric.progress import Tell, silent
+from difffric.number_text import format_values
+from difffric.progress import Steps, Tell, silent
 from difffric.rig import parameters
 from difffric.rig.setup import Setup
 from difffric.simulation.families import Family, family
@@ -39,6 +41,9 @@ if TYPE_CHECKING:
     from difffric.diagnosis.combinations.explanation import Explanation
     from difffric.identification.estimators import PushFriction
     from difffric.studies.next_push import Proposal
+
+_ENDS = (0.06, 0.15, 0.65, 0.7, 0.95, 0.97, 1.0)
+"""The share of the whole that is done at the end of each step."""
 
 
 @dataclass(frozen=True)
@@ -206,7 +211,7 @@ class Paper:
 
 
 def study(progress: Tell = silent) -> Paper:
-    """Explain the paper's pushes; `progress(what, share done)` hears how far it is.
+    """Explain the paper's pushes, step by step; `progress(what, share done)` hears how far it is.
 
     The plain model is calibrated on what it can reach: distances above the lossless bound could
     only bend its k, b and k_v. The extended model is calibrated on everything.
@@ -223,7 +228,8 @@ def study(progress: Tell = silent) -> Paper:
     folds = np.unique(measured.velocity, return_inverse=True)[1]
     reachable = hide(measured, nothing, impossible)
 
-    progress("calibrating equation (2)", 0.0)
+    steps = Steps(progress, _ENDS)
+    steps.begin("calibrating equation (2)")
     # Each force is as good as another here: a plain least-squares line is what (3) is, too.
     forces = replace(
         hide(measured, nothing, ~nothing), peak_force_se=np.full(len(measured), np.nan)
@@ -231,24 +237,26 @@ def study(progress: Tell = silent) -> Paper:
     no_drag = parameters.with_values(rig, {"k_v_N_s_per_m": 0.0})
     by_force = fit(no_drag, forces, free=("k_N_per_m", "b_N_s_per_m"), several_starts=False)
     plain = fit(rig, reachable)
-    progress("judging each speed by the others, equation (2)", 0.06)
+    values = {label: plain.value(label) for label in plain.free}
+    tell_known("equation (2), fitted to what it can reach", format_values(values))
+    tell = steps.begin("judging by equation (2)")
     starts = [Setup(plain.rig)] * (int(folds.max()) + 1)
-    plain_by = judge(measured, folds, starts, plain, hide_d=impossible)
-    found = explain_table(
-        rig, measured, folds, lambda what, share: progress(what, 0.15 + 0.5 * share)
-    )
-    progress("calibrating the extended model", 0.65)
+    plain_by = judge(measured, folds, starts, plain, hide_d=impossible, tell=tell)
+    found = explain_table(rig, measured, folds, steps.begin("looking for what it lacks"))
+    parts = ", ".join(sorted(found.best.parts))
+    tell_known("what equation (2) lacks, before it is judged", parts)
+    steps.begin("calibrating the extended model")
     extended = fit(found.extend_setup(found.best), measured, several_starts=False)
     extended_by = judge(
         measured,
         folds,
         [found.extend_setup(one) for one in found.list_blind(found.best)],
         extended,
-        tell=lambda what, share: progress(what, 0.7 + 0.25 * share),
+        tell=steps.begin("judging by the extended model"),
     )
-    progress("looking for the next experiment", 0.96)
+    steps.begin("looking for the next experiment")
     proposals = _propose(found, extended)
-    progress("done", 1.0)
+    steps.begin("drawing")
     return Paper(
         pushes=measured,
         by_force=by_force,
@@ -296,7 +304,7 @@ def judge(
     for j, start in enumerate(starts):
         now = folds == j
         v = find_speed(measured, int(np.argmax(now)))
-        tell(f"judging {v:.0f} mm/min by the other speeds", j / len(starts))
+        tell(f"{v:.0f} mm/min by the other speeds", j / len(starts))
         blind = fit(start, hide(measured, now, hidden | now), several_starts=False)
         own = identify(blind, measured.select(now), range_ratio=ratio)
         answers |= dict(zip(np.flatnonzero(now).tolist(), own, strict=True))

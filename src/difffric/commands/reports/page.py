@@ -13,6 +13,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from difffric import leftovers
 from difffric.commands.layout.table_columns import holds_numbers, leave_out_empty
 from difffric.output_folder import open_folder, to_json_types
 
@@ -128,7 +129,8 @@ def format_answer(answer: Any) -> str:
 def write_folder(
     folder: str | os.PathLike, answer: Any, report: Report, files: Mapping[str, bytes] | None = None
 ) -> Path:
-    """Write result.json, report.html, the figures and other `files`; all of them or none.
+    """Write result.json, report.html, the figures and other `files`; all of them or none, also
+    where the process is told to end.
 
     Returns the folder. Raises `InputError` where it cannot be written.
     """
@@ -139,9 +141,11 @@ def write_folder(
         "report.html": render(report).encode(),
     }
     with open_folder(folder) as path:
-        with tempfile.TemporaryDirectory(dir=path, prefix=".writing-") as staging:
+        staged = tempfile.TemporaryDirectory(dir=path, prefix=".writing-")
+        with staged as staging, leftovers.guard(Path(staging)):
             for name, content in contents.items():
                 (Path(staging) / name).write_bytes(content)
-            for name in contents:
-                os.replace(Path(staging) / name, path / name)
+            with leftovers.PLACING:
+                for name in contents:
+                    os.replace(Path(staging) / name, path / name)
         return path

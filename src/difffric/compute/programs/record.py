@@ -22,6 +22,10 @@ FILE = "DIFFFRIC_PROGRAM_LOG"
 RECORDS: list[Record] = []
 """Of all programs that this process asked for, in the order in which it did."""
 
+UNDER_WAY: list[tuple[Record, float]] = []
+"""The programs that are being traced or compiled now, by whichever thread, and when each was begun,
+by `time.perf_counter`."""
+
 
 @dataclass
 class Record:
@@ -45,6 +49,16 @@ class Record:
             yield
         finally:
             setattr(self, what, getattr(self, what) + time.perf_counter() - start)
+
+    @contextmanager
+    def announce(self) -> Iterator[None]:
+        """Say, to whoever looks at `UNDER_WAY`, that the program is made within."""
+        entry = (self, time.perf_counter())
+        UNDER_WAY.append(entry)
+        try:
+            yield
+        finally:
+            UNDER_WAY.remove(entry)
 
     def watch(self, call: Callable) -> Callable:
         """The program; where a file is named, its calls are counted from now on."""

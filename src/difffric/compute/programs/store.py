@@ -31,6 +31,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import difffric
+from difffric import leftovers
 from difffric.compute.programs.private_folder import (
     FOLDER,
     REFUSED,
@@ -107,14 +108,15 @@ def compile_now(
         return leaves
 
     options = keep_known_options(options) if options else None
-    with _tracing, record.time("traced"):
-        _here.tracing = True
-        try:
-            lowered = jax.jit(list_leaves, compiler_options=options).lower(shapes)
-        finally:
-            _here.tracing = False
-    with _bypass_jax_cache(), record.time("compiled"):
-        return lowered.compile(), trees[0]
+    with record.announce():
+        with _tracing, record.time("traced"):
+            _here.tracing = True
+            try:
+                lowered = jax.jit(list_leaves, compiler_options=options).lower(shapes)
+            finally:
+                _here.tracing = False
+        with _bypass_jax_cache(), record.time("compiled"):
+            return lowered.compile(), trees[0]
 
 
 def keep_known_options(options: dict[str, Any]) -> dict[str, Any] | None:
@@ -173,7 +175,8 @@ def _mark_first_call(path: Path, call: Callable) -> Callable:
         with suppress(OSError):
             mark.touch()
         try:
-            return call(arrays)
+            with leftovers.guard(mark):
+                return call(arrays)
         finally:
             marked = call
             with suppress(OSError):
@@ -267,9 +270,10 @@ def _write(path: Path, compiled: Any, tree: Any, edit: Callable[[bytes], bytes] 
         blob = pickle.dumps((payload, ins, outs, skeleton, bool(foreign)))
         handle, part = tempfile.mkstemp(dir=path.parent)
         try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(hashlib.sha256(blob).digest() + blob)
-            os.replace(part, path)
+            with leftovers.guard(Path(part)):
+                with os.fdopen(handle, "wb") as file:
+                    file.write(hashlib.sha256(blob).digest() + blob)
+                os.replace(part, path)
         except BaseException:
             os.unlink(part)
             raise

@@ -95,7 +95,8 @@ class BeamSearch:
         """The combinations of each stage, the best first: the spring alone, one part, two, ..."""
         stages = [self._start()]
         for count in range(1, MOST + 1):
-            self.tell(f"combinations of {count}", 0.9 * (count - 1) / MOST)
+            # There are more of them the more parts they have, and each takes longer.
+            self.tell(f"combinations of {count}", 0.9 * ((count - 1) / MOST) ** 2)
             starts = self._add_parts(stages[-1], 1)
             if 1 < count <= _PAIRS_UP_TO:
                 starts += self._add_parts(stages[-2][:_PAIRED], 2)
