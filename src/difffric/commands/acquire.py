@@ -11,7 +11,7 @@ import typer
 import difffric as df
 from difffric.commands import reports
 from difffric.commands.console import check_out, print_and_write
-from difffric.commands.options import Out, Quiet, require_positive
+from difffric.commands.options import Out, Quiet, read_rig_setup, require_positive
 from difffric.errors import InputError
 from difffric.output_folder import open_folder
 from difffric.units import from_mm
@@ -46,7 +46,7 @@ def acquire(
     if simulate is not None and setup is not None:
         raise InputError("--setup is for a card: --simulate has its set-up")
     file = simulate or setup
-    known, truth = None if file is None else df.read_setup(file), []
+    known, truth = None if file is None else read_rig_setup(file), []
     if known is not None and simulate is not None:
         card, truth = df.studies.simulated_rig.make_simulated_card(known, rate_hz, seed)
     else:

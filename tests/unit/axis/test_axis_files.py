@@ -148,7 +148,7 @@ def test_what_cannot_be_fitted_is_refused(data, words):
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (stretch(np.where(T > 2, T + 1, T), WAVE, WAVE), "1 gaps in time"),
+        (stretch(np.where(T > 2, T + 1, T), WAVE, WAVE), "1 gap in time"),
         (stretch(T, np.clip(WAVE, -5, 5), WAVE), "a saturated drive?"),
         (stretch(T, WAVE, (0.9 * T) % 1.0), "an encoder that wraps?"),
     ],

@@ -13,13 +13,13 @@ import typer
 from numpy.typing import NDArray
 
 import difffric as df
+from difffric.commands.first_steps.setup_text import Line, format_tables
 from difffric.commands.options import require_positive
 from difffric.errors import InputError
 from difffric.measurements.load_file import load
 from difffric.measurements.noise import Noise
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.reduction.reduce import reduce_recordings
-from difffric.name_text import make_printable
 from difffric.rig.rig import spring_damper_rig
 from difffric.rig.setup_toml import parse_setup
 from difffric.simulation.columns import observe_columns
@@ -75,7 +75,7 @@ def write_first_setup(
     if stroke is None and np.isfinite(pushes.stroke).all():
         stroke = float(pushes.stroke[0])
     mu_s, k, b = guess_contact(pushes, mass, stroke, known)
-    lines = {
+    lines: dict[str, list[Line]] = {
         "part": [("mass_kg", f"{mass:.6g}", "weigh it: every mu_s goes with it")],
         "friction": [
             ("mu_s", f"{mu_s:.3g}", "a guess from these pushes; a fit finds it per condition"),
@@ -103,7 +103,7 @@ def write_first_setup(
             for key, name in names.items()
         ],
     }
-    text = _format(lines, data)
+    text = format_tables(lines, data)
     parse_setup(text)
     return text, f"mu_s about {mu_s:.2g}, k about {k:.2g} N/m, b about {b:.2g} N s/m"
 
@@ -168,21 +168,7 @@ def _ask_for_mass(data: Pushes | Any, given: float | None) -> float:
     raise InputError("--mass-kg is missing: the data do not say the mass of the part")
 
 
-def _write_noise(key: str, noise: Noise | None, scale: float) -> list[tuple[str, str, str]]:
+def _write_noise(key: str, noise: Noise | None, scale: float) -> list[Line]:
     if noise is None or not noise.level > 0:
         return []
     return [(key, f"{scale * noise.level:.3g}", "measured in the quiet time of these pushes")]
-
-
-def _format(tables: dict[str, list[tuple[str, str, str]]], data: Path) -> str:
-    """The set-up's text, a comment beside each number."""
-    out = [
-        f"# A first set-up for {make_printable(data.name)}, by difffric init:",
-        "# numbers to start a fit from.",
-        "# What each means and what else may stand here: docs/formats.md.",
-    ]
-    for name, entries in tables.items():
-        if entries:
-            rows = [f"{f'{key} = {value}':<29} # {words}" for key, value, words in entries]
-            out += ["", f"[{name}]", *rows]
-    return "\n".join(out) + "\n"
