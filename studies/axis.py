@@ -1,4 +1,4 @@
-"""How often a simulation, a fit and a diagnosis of an axis are right, on made axes with known truth.
+"""How often simulations, fits and diagnoses of an axis are right, on made axes of known truth.
 
     REFERENCE_JIT=1 python -m studies.axis [--only motion] [--cases 100] [--block 0] [--page PAGE]
 
@@ -18,7 +18,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import combinations
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -116,8 +116,8 @@ def measure_shift(axis, speeds: NDArray) -> tuple[float, float]:
     numbers, plain = axis.numbers(), replace(axis, effects={}).numbers()
     moves, pushes, columns = [], [], []
     moving = np.abs(u) > 1e-3
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], np.sign(u) * moving, [0])))) + 0
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], np.sign(u) * moving, [0]))))
+    for a, b in pairwise(edges):
         if not moving[a] or b - a < 50:
             continue
         s, here, speed = float(np.sign(u[a])), x[a:b], u[a:b]
@@ -272,7 +272,9 @@ def list_wrong(found: dict[str, list[dict]]) -> list[str]:
     out = []
     for part in ("clean", "hidden", "pairs"):
         for x in found[part]:
-            if set(x["found"]) != set(x["hidden"]) or (part == "clean" and x["verdict"] != "adequate"):
+            if set(x["found"]) != set(x["hidden"]) or (
+                part == "clean" and x["verdict"] != "adequate"
+            ):
                 out.append(
                     f"{part} {x['case']}: hidden {x['hidden']}, {x['verdict']} {x['found']}, "
                     f"negligible {x['negligible']}, left {x['remaining_N']}"

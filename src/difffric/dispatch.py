@@ -105,7 +105,7 @@ def _load(of_pushes: Callable[..., Any], path: Any, **options: Any) -> Any:
     from difffric.axis.files.load_recording import load_axis
     from difffric.errors import InputError
 
-    if is_axis_recording(path):
+    if is_axis_recording(path, options.get("channels") or ()):
         return load_axis(path, **options)
     try:
         return of_pushes(path, **options)

@@ -27,6 +27,8 @@ _FITTING = 0.8
 """log10 of a ratio that another unit has to lead to."""
 _SLOWEST = 0.2
 """Seconds between samples from which on nothing of an acceleration is seen."""
+_FASTEST = 1e-5
+"""The same, below which no encoder is read."""
 _TRUST = "(--trust-units takes them as they are)"
 
 
@@ -56,11 +58,10 @@ def refuse_wrong_units(setup: AxisSetup, data: AxisRecordings) -> None:
     bring it back.
     """
     step = float(np.median(np.concatenate([np.diff(x.time) for x in data.stretches] or [[0.0]])))
-    if step > _SLOWEST:
-        seems = _name_other(data.columns, "time", 1e-3)
+    if step > _SLOWEST or 0 < step < _FASTEST:
+        seems = _name_other(data.columns, "time", 1e-3 if step > _SLOWEST else 1e3)
         raise InputError(
-            f"{data.source}: a sample every {step:.3g} s, too few to see an acceleration: {seems} "
-            f"{_TRUST}"
+            f"{data.source}: a sample every {step:.3g} s, as no axis is recorded: {seems} {_TRUST}"
         )
     seen = _look(setup, data)
     if seen is None:

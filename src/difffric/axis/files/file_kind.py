@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 
 TEXTS = (".csv", ".txt", ".tsv", ".dat")
@@ -20,9 +21,12 @@ def is_axis_file(path: str | os.PathLike) -> bool:
         return False
 
 
-def is_axis_recording(path: str | os.PathLike) -> bool:
+def is_axis_recording(path: str | os.PathLike, channels: Iterable[str] = ()) -> bool:
     """Whether a text has a column of times and one of positions, as only recordings of an axis
-    have; False for what cannot be read."""
+    have, or is said to: `channels` are those of our names that a person gives columns of it. False
+    for what cannot be read."""
+    if {x.partition("_")[0].lower() for x in channels} & {"time", "drive"}:
+        return True
     names = _read_heading(path)
     has_time = any(re.match(r"(time|t)\b|time_", x) for x in names)
     return has_time and any(x.startswith(("position", "x_", "x ")) or x == "x" for x in names)

@@ -138,9 +138,7 @@ def _find_times(found: Mapping[str, _Signal], position: _Signal) -> NDArray:
     return t
 
 
-def _read_signal(
-    channel: Any, key: str, meaning: str, notes: list[tuple[str, str]]
-) -> _Signal:
+def _read_signal(channel: Any, key: str, meaning: str, notes: list[tuple[str, str]]) -> _Signal:
     """A channel in SI. Raises `ValueError` for what is wrong with it."""
     says = channel.properties
     said = str(says.get("unit_string", "")).strip()

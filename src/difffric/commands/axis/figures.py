@@ -173,9 +173,7 @@ def draw_traces(fit: AxisFit) -> Figure:
                 ax.plot(time, mine, ".", color=colour, ms=2, mew=0, label=word)
             ax.set_ylabel(label)
         axes[-1].set_xlabel("time [s]")
-        axes[0].legend(
-            fontsize=8, markerscale=5, loc="lower right", bbox_to_anchor=(1, 1), ncols=3
-        )
+        axes[0].legend(fontsize=8, markerscale=5, loc="lower right", bbox_to_anchor=(1, 1), ncols=3)
     return figure
 
 

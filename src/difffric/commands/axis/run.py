@@ -76,9 +76,7 @@ def run_fit(
     print_and_write(page, found.as_dict(), out, files, tell.timings)
 
 
-def run_identify(
-    data: Path, setup: Path, asked: Reading, out: Path | None, quiet: bool
-) -> None:
+def run_identify(data: Path, setup: Path, asked: Reading, out: Path | None, quiet: bool) -> None:
     """Give the friction level of each stretch of a recording."""
     axis, loaded = read_both(setup, data, asked)
     with show_progress(quiet) as tell:

@@ -87,9 +87,7 @@ def write_first_axis(
     return text, numbers + notes
 
 
-def _look(
-    data: AxisRecordings, said: AxisNumbers
-) -> tuple[AxisFit, float | None, str]:
+def _look(data: AxisRecordings, said: AxisNumbers) -> tuple[AxisFit, float | None, str]:
     """A fit that starts at nothing, and the drive's gain [N/V] with where it comes from."""
     held = {} if said.mass_kg is None else {MASS: AxisExtras(free=False)}
     own = AxisSetup(said.mass_kg or 1.0, coulomb=1.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +11,6 @@ from difffric.axis.files.file_kind import is_axis_recording, lacks_speeds
 from difffric.commands.console import open_console
 from difffric.commands.options import Channel, Data, SkipBad, parse_channels, require_positive
 from difffric.errors import InputError
-from difffric.measurements.headings import separate_unit
 
 
 def init(
@@ -52,7 +50,7 @@ def init(
     most = require_positive("--range-n", range_n)
     resolution = require_positive("--resolution-um", resolution_um)
     names = parse_channels(channel)
-    if _is_of_axis(data, names):
+    if is_axis_recording(data, names) or lacks_speeds(data):
         from difffric.commands.first_steps.first_axis import AxisNumbers, write_first_axis
 
         for option, given in (
@@ -73,11 +71,3 @@ def init(
     console = open_console()
     console.print(words)
     console.print(f"written to {to}; next: difffric check {data} --setup {to}", soft_wrap=True)
-
-
-def _is_of_axis(data: Path, names: Mapping[str, str]) -> bool:
-    """Whether a file is the recording of an axis: by its columns or groups, or by what is said of
-    them: only such a recording has times and a drive."""
-    if is_axis_recording(data) or lacks_speeds(data):
-        return True
-    return bool({"time", "drive"} & {separate_unit(x)[0].lower() for x in names})
