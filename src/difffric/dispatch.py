@@ -105,12 +105,11 @@ def _load(of_pushes: Callable[..., Any], path: Any, **options: Any) -> Any:
     from difffric.axis.files.load_recording import load_axis
     from difffric.errors import InputError
 
-    skip_bad = bool(options.get("skip_bad"))
-    if is_axis_recording(path):
-        return load_axis(path, skip_bad=skip_bad)
+    if is_axis_recording(path, options.get("channels") or ()):
+        return load_axis(path, **options)
     try:
         return of_pushes(path, **options)
     except InputError:
         if lacks_speeds(path):
-            return load_axis(path, skip_bad=skip_bad)
+            return load_axis(path, **options)
         raise

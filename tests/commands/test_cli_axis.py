@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -78,6 +79,109 @@ def test_the_measured_piston_has_the_friction_of_its_averages(
     assert -found["parameters"]["offset_N"]["value"] == pytest.approx(half_sum, rel=0.03)
     assert found["motion"] == "imposed"
     assert ["mass_kg"] in [x["parameters"] for x in found["not_identifiable"]]
+
+
+def test_check_shows_what_would_be_fitted(tmp_path):
+    data, setup = AXIS / "recording.csv", AXIS / "setup.toml"
+    found = answer(tmp_path, "check", data, "--setup", setup)
+    assert len(found["stretches"]) == 5
+    assert found["determines"]["not_identifiable"] == []
+    errors = found["determines"]["standard_errors"]
+    assert set(errors) == {*found["determines"]["first_look"]}
+    assert 0 < errors["mass_kg"] < 1
+    assert (tmp_path / "traces.png").exists()
+    assert not (tmp_path / "setup.toml").exists()  # nothing was fitted
+
+
+def test_check_says_what_such_data_leave_open(tmp_path):
+    data, setup = PISTON / "piston_1bar.csv", PISTON / "setup.toml"
+    found = answer(tmp_path, "check", data, "--setup", setup)
+    assert found["motion"] == "imposed"
+    assert found["determines"]["standard_errors"]["mass_kg"] is None
+    assert found["determines"]["standard_errors"]["coulomb_N"] > 0
+
+
+def test_init_writes_a_set_up_that_fit_takes(fitted, tmp_path):
+    expected, _ = fitted
+    setup = tmp_path / "setup.toml"
+    assert "--gain-n-per-v is missing" in begin(AXIS / "recording.csv", setup).stderr
+    done = begin(AXIS / "recording.csv", setup, "--gain-n-per-v", 35.15)
+    assert done.returncode == 0, done.stderr
+    found = answer(tmp_path / "fit", "fit", AXIS / "recording.csv", "--setup", setup)
+    for name, said in expected["parameters"].items():
+        value, error = said["value"], said["standard_error"]
+        assert found["parameters"][name]["value"] == pytest.approx(value, abs=0.2 * error)
+    assert "exists already" in begin(AXIS / "recording.csv", setup).stderr
+
+
+def test_the_gain_follows_from_a_mass_that_is_known(tmp_path):
+    setup = tmp_path / "setup.toml"
+    begin(AXIS / "recording.csv", setup, "--mass-kg", 95)
+    gain = tomllib.loads(setup.read_text())["drive"]["gain_N_per_V"]
+    assert gain == pytest.approx(35.15, rel=0.005)
+
+
+def test_init_asks_for_a_mass_that_no_motion_tells(tmp_path):
+    done = begin(PISTON / "piston_1bar.csv", tmp_path / "s.toml")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "--mass-kg is missing" in done.stderr
+    assert "for pushes only" in begin(AXIS / "recording.csv", tmp_path / "s.toml",
+                                     "--stroke-mm", 2).stderr  # fmt: skip
+
+
+def begin(data, to, *words):
+    call = [sys.executable, "-m", "difffric.commands.main", "init", str(data), "--to", str(to)]
+    return subprocess.run(
+        [*call, *map(str, words)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        stdin=subprocess.DEVNULL,
+    )
+
+
+def test_foreign_names_are_said_by_an_option_or_by_the_set_up(fitted, tmp_path):
+    expected, _ = fitted
+    data, setup = tmp_path / "a.csv", tmp_path / "s.toml"
+    text = (AXIS / "recording.csv").read_text()
+    data.write_text(text.replace("drive_V,position_mm", "Spannung [V],Weg [mm]", 1))
+    setup.write_text((AXIS / "setup.toml").read_text() + "\n[files]\nposition = 'Weg'\n")
+    done = run("identify", data, "--setup", setup)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "--channel drive='Spannung [V]'" in done.stderr or "Spannung" in done.stderr
+    out = tmp_path / "out"
+    found = answer(out, "fit", data, "--setup", setup, "--channel", "drive=Spannung")
+    assert found["parameters"] == expected["parameters"]
+    assert 'drive = "Spannung"' in (out / "setup.toml").read_text()
+
+
+def test_units_that_are_plainly_wrong_are_said_first(tmp_path):
+    data = tmp_path / "a.csv"
+    text = (AXIS / "recording.csv").read_text()
+    data.write_text(text.replace("position_mm", "position_m", 1))
+    for command in ("fit", "check", "identify", "diagnose"):
+        done = run(command, data, "--setup", AXIS / "setup.toml")
+        assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+        assert "position_m looks like mm, call the column position_mm" in done.stderr
+    trusted = run("fit", data, "--setup", AXIS / "setup.toml", "--trust-units")
+    assert trusted.returncode == 0
+    assert "a unit may be wrong" in " ".join(trusted.stdout.split())
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("family", AXIS / "setup.toml"),
+        ("plan", AXIS / "setup.toml", "--offset-um", 100),
+        ("monitor", EXAMPLES / "pushes.csv", "--setup", AXIS / "setup.toml"),
+        ("fit", AXIS / "recording.csv", "--setup", EXAMPLES / "setup.toml"),
+        ("fit", EXAMPLES / "pushes.csv", "--setup", AXIS / "setup.toml"),
+    ],
+)
+def test_an_axis_where_pushes_belong_is_one_line(words):
+    done = run(*words)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert "an axis" in done.stderr
 
 
 def test_what_is_of_pushes_only_is_refused():

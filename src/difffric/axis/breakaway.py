@@ -46,6 +46,7 @@ class BreakawayForce:
     events: int
 
 
+_DELAY = "drive_delay.delay_s"
 _FOLLOWED = 0.03
 """Seconds of motion that tell when it began."""
 _REST = 0.03
@@ -54,6 +55,9 @@ _MOVED = 5.0
 """Standard deviations of the encoder's noise by which an axis has left its rest."""
 _SPREADS = np.array([1e-3, 3e-3, 0.01, 0.03, 0.1])
 """Relative spreads of the force from one event to the next that are weighed."""
+_OTHER_LAW = 6.0
+"""Mean square, in those of the noise, that the best start leaves over from which on the axis does
+not set off as the fitted one would: its positions then do not tell when it began."""
 _OUTLIER = 0.1
 """Probability of an event that is none, such as a creep before the move."""
 
@@ -120,7 +124,8 @@ def _weigh_starts(
 ) -> Breakaway | None:
     """What the end of the rest that begins at sample a says, or None where it says nothing."""
     t, x = stretch.time, sign * stretch.position
-    force = sign * (stretch.force + values[OFFSET])
+    acts = np.searchsorted(t, t - values.get(_DELAY, 0.0), side="right") - 1
+    force = sign * (stretch.force[np.maximum(acts, 0)] + values[OFFSET])
     step = float(np.median(np.diff(t)))
     far = min(after, len(x))
     home = float(np.median(x[a : a + max(5, round(_REST / step))]))
@@ -153,9 +158,11 @@ def _weigh_starts(
     best = float(np.min(costs))
     sigma2 = max(noise**2, best / max(last - begin - 2, 1))
     edges = np.array([max(before, 0.0), *(force[s] for s in records)]) / level
-    logs = -(np.array(costs) - best) / (2 * sigma2)
-    if records[int(np.argmax(logs))] <= a + 3:
+    if records[int(np.argmin(costs))] <= a + 3:
         return None
+    logs = -(np.array(costs) - best) / (2 * sigma2)
+    if best > _OTHER_LAW * noise**2 * (last - begin):
+        logs[:] = 0.0
     return Breakaway(k, sign, edges, logs)
 
 

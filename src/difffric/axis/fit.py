@@ -31,6 +31,10 @@ from difffric.progress import Tell, silent
 
 FORCE_KERNELS = tuple(range(1 + len(ENCODER_TIMES), len(KERNELS)))
 """Which sizes of a noise are those of force disturbances."""
+_MUCH = 0.05
+"""Share of Coulomb friction from which on a force that is left over is told."""
+_BY_CHANCE = 1e-4
+"""Its probability by chance, below which it is."""
 _THOUSAND = 100.0
 """Factor between the set-up's mass and the fitted one from which on a unit is in doubt."""
 
@@ -63,7 +67,20 @@ def fit_axis(
         end = search(ready.run_data, start, names, imposed)
         end, bounded = hold_in_bounds(ready, end, setup)
         tell("weighing what is left", 0.7)
-        return conclude_fit(setup, ready, end, left_open, bounded, free)
+        found = conclude_fit(setup, ready, end, left_open, bounded, free)
+    return replace(found, notes=(*found.notes, *_tell_remainder(found)))
+
+
+def _tell_remainder(fit: AxisFit) -> list[str]:
+    """A note where much is left over: the law is not the axis', and errors count on it."""
+    share = fit.noise.force / fit.value(COULOMB)
+    p_value = fit.noise.force_p_value
+    if p_value is None or p_value > _BY_CHANCE or share < _MUCH:
+        return []
+    return [
+        f"a force of {fit.noise.force:.2g} N rms ({100 * share:.2g} % of Coulomb friction) is left "
+        "over that neither the drive nor friction explains: diagnose looks for its cause"
+    ]
 
 
 def choose_free(setup: AxisSetup, free: Sequence[str] | None) -> list[str]:

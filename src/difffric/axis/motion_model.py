@@ -184,16 +184,17 @@ class MotionModel:
         return x, force, unit, path
 
     def _average(self, run: RunData, samples: NDArray) -> NDArray:
-        """Block means of samples (n,), of which the axis forgets its speed."""
+        """Block means of samples (n,) or (n, columns), of which the axis forgets its speed."""
         if self.rate:
             half = self.rate * run.tau[-1] / (len(run.tau) - 1) / 2
             top, bottom = np.array([1.0, -1.0]), np.array([1.0 + half, half - 1.0])
             begin = samples[:1] * (1 - 1 / (1 + half))
-            samples = lfilter(top / bottom[0], bottom / bottom[0], samples, zi=begin)[0]
+            filtered = lfilter(top / bottom[0], bottom / bottom[0], samples, axis=0, zi=begin)
+            samples = filtered[0]
         return np.add.reduceat(samples, run.edges) / run.per_block
 
     def _reduce(self, k: int, samples: NDArray) -> NDArray:
-        """Rows of a run for samples (n,): block means, without start and speed."""
+        """Rows of a run for samples (n,) or (n, columns): block means, without start and speed."""
         return self.rows[k].keep.T @ self._average(self.runs[k], samples)
 
     def _respond(self, k: int, effect: str, values: Mapping[str, float]) -> list[NDArray]:
@@ -221,12 +222,14 @@ class MotionModel:
             columns[name] = columns.get(name, 0.0) + self._twice(k, slope)
 
     def respond_to(self, k: int, resisting: NDArray) -> NDArray:
-        """Return the rows of run k for a resistance (n,) at its samples [N]."""
+        """Return the rows of run k for a resistance (n,) at its samples [N], or for many
+        (n, columns) at once."""
         return self._twice(k, resisting)
 
     def _twice(self, k: int, samples: NDArray | float) -> NDArray:
         tau = self.runs[k].tau
-        full = np.broadcast_to(samples, tau.shape)
+        full = np.asarray(samples)
+        full = full if full.ndim == 2 else np.broadcast_to(full, tau.shape)
         if self.imposed:
             return self._reduce(k, full)
         return self._reduce(k, integrate_smooth(integrate_smooth(full, tau), tau))
@@ -252,6 +255,9 @@ def _delay_force(stretch: AxisStretch, times: NDArray, delay: float) -> tuple[ND
 
 
 def integrate_smooth(samples: NDArray, tau: NDArray) -> NDArray:
-    """The integral over time of smooth samples (n,), by trapezia."""
-    steps = np.diff(tau) * (samples[1:] + samples[:-1]) / 2
-    return np.concatenate(([0.0], np.cumsum(steps)))
+    """The integral over time of smooth samples (n,) or (n, columns), by trapezia."""
+    width = np.diff(tau) / 2
+    once = np.zeros(samples.shape)
+    steps = (samples[1:] + samples[:-1]) * (width if samples.ndim == 1 else width[:, None])
+    np.cumsum(steps, axis=0, out=once[1:])
+    return once

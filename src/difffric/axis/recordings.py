@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -43,6 +43,8 @@ class AxisRecordings:
     notes: Sequence[str] = ()
     """what is odd about the data, a line each"""
     source: str = "the recording"
+    columns: Mapping[str, str] = field(default_factory=dict)
+    """what a text calls its columns, by our name without a unit (`position`: `position_mm`)"""
 
     def __len__(self) -> int:
         return len(self.stretches)
@@ -110,7 +112,8 @@ def _cut_at_gaps(one: AxisStretch, step: NDArray, notes: list[str]) -> list[Axis
     jump = np.abs(np.diff(one.position))
     wraps = (jump > _WRAP * max(np.ptp(one.position), 1e-300)) & (jump > 50 * np.median(jump))
     if gap.any():
-        notes.append(f"{int(gap.sum())} gaps in time: the stretches are cut there")
+        count = f"{int(gap.sum())} gaps" if gap.sum() > 1 else "1 gap"
+        notes.append(f"{count} in time: the stretches are cut there")
     if wraps.any():
         notes.append(
             f"the position jumps by {jump.max():.4g} m within a sample, {int(wraps.sum())} times "

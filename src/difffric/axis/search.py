@@ -59,6 +59,8 @@ _NEAR = 0.02
 """Change of -2 log likelihood that is not worth a new model."""
 _AGAINST = 20.0
 """Standard errors below 0 from which on a mass says that a sign is wrong."""
+_IDLE = 3.0
+"""Standard errors that a force must differ by from one way to the other."""
 _CLEAR_MASS = 6.0
 """Standard errors that a mass must differ from 0 by, for the motion to count as driven."""
 
@@ -82,16 +84,39 @@ def find_start(
     if mass < -_AGAINST * error:
         raise InputError(
             f"the axis accelerates against the recorded force (its mass would be {mass:.3g} kg): "
-            "is the sign of the force, of the drive's gain or of the position wrong?"
+            "is the sign of the force or of the position wrong? (a negative gain_N_per_V turns "
+            "that of a drive in volts)"
         )
     imposed = bool(mass < _CLEAR_MASS * error)
     if imposed:
+        _refuse_idle_force(runs)
         return dict(values), True
     start = dict(values)
     for name, value in zip(tried, noise.step, strict=True):
         if name in plain:
             start[name] = float(value)
     return start, False
+
+
+def _refuse_idle_force(runs: Sequence[RunData]) -> None:
+    """Refuse forces that do not answer to a motion that is imposed.
+
+    Raises `InputError` where forwards they are not clearly above what they are backwards.
+    """
+    means = {s: np.array([r.force.mean() for r in runs if r.run.sign == s]) for s in (1, -1)}
+    if min(map(len, means.values())) < 2:
+        return
+    half = float(means[1].mean() - means[-1].mean()) / 2
+    error = float(np.sqrt(sum(x.var(ddof=1) / len(x) for x in means.values()))) / 2
+    if half > _IDLE * error:
+        return
+    asked = "is its sign, or that of the position, wrong?" if half < -_IDLE * error else (
+        "is its channel the drive's?"
+    )  # fmt: skip
+    raise InputError(
+        "the recorded force does not answer to the motion: half the difference between forwards "
+        f"and backwards is {half:.2g} ± {error:.1g} N, expected Coulomb friction; {asked}"
+    )
 
 
 def search(

@@ -49,6 +49,8 @@ class AxisSetup:
     """id -> key -> value"""
     extras: Mapping[str, AxisExtras] = field(default_factory=dict)
     """by parameter (`mass_kg`, `cogging.period_m`): what the file says beside its value"""
+    channels: Mapping[str, str] = field(default_factory=dict)
+    """what recordings call a column or channel, by our name, such as Kraft for force"""
     text: str = field(default="", compare=False, repr=False)
     """of the file that it was read from: a new file keeps its comments and layout"""
 

@@ -11,7 +11,7 @@ import typer
 import difffric as df
 from difffric.commands import reports
 from difffric.commands.console import check_out, print_and_write
-from difffric.commands.options import Out, Quiet, require_positive
+from difffric.commands.options import Out, Quiet, read_rig_setup, require_positive
 from difffric.commands.running.interruption import COMMAND
 from difffric.errors import InputError
 from difffric.output_folder import open_folder
@@ -63,7 +63,7 @@ def acquire(
             "--setup and --simulate: give one of them; --simulate names its own set-up"
         )
     file = simulate or setup
-    known, truth = None if file is None else df.read_setup(file), []
+    known, truth = None if file is None else read_rig_setup(file), []
     if known is not None and simulate is not None:
         card, truth = df.studies.simulated_rig.make_simulated_card(known, rate_hz, seed)
     else:

@@ -10,7 +10,7 @@ import typer
 import difffric as df
 from difffric.commands import reports
 from difffric.commands.console import check_out, print_and_write, show_progress
-from difffric.commands.options import Out, Quiet, Setup, require_positive
+from difffric.commands.options import Out, Quiet, Setup, read_rig_setup, require_positive
 from difffric.units import from_um
 
 
@@ -40,8 +40,8 @@ def centre(
     """Centre rings whose friction nobody knows, and report pushes and errors of each way."""
     check_out(out)
     require_positive("--offset-um", offset_um)
-    said = df.read_setup(setup)
-    hidden = None if truth is None else df.load_setup(truth)
+    said = read_rig_setup(setup)
+    hidden = None if truth is None else read_rig_setup(truth).rig
     scatter, drift = df.centering.planning.SCATTER, abs(drift_percent) / 100
     belief = df.centering.Belief.uniform(mu_s_from, mu_s_to, scatter, drift=drift)
     known = df.centering.Known.of(said, belief)

@@ -87,7 +87,8 @@ def fit(
         ):
             if given:
                 raise InputError(f"{option} is for pushes only: {setup} is the set-up of an axis")
-        return run.run_fit(data, setup, free or None, skip_bad, out, quiet)
+        asked = run.Reading(skip_bad, channel, trust_units)
+        return run.run_fit(data, setup, free or None, asked, out, quiet)
     check_setup_stays(out, setup)
     rig = read_setup_for(setup, channel)
     loaded = load_data(data, rig, skip_bad, trust_units)

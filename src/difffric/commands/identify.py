@@ -49,7 +49,8 @@ def identify(
     if is_axis_file(file):
         from difffric.commands.axis import run  # pushes need none of it
 
-        return run.run_identify(data, file, skip_bad, out, quiet)
+        asked = run.Reading(skip_bad, channel, trust_units)
+        return run.run_identify(data, file, asked, out, quiet)
     rig = read_setup_for(file, channel)
     loaded = load_data(data, rig, skip_bad, trust_units)
     with show_progress(quiet) as tell:

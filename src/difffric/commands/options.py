@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import difffric as df
+from difffric.axis.files.file_kind import is_axis_file
 from difffric.errors import InputError
 from difffric.units import from_mm
 
@@ -61,8 +62,21 @@ def read_setup_for(setup: Path, channel: list[str] | None) -> df.Setup:
 
     Raises `InputError` where the file is wrong, and for a `--channel` without its two names.
     """
-    read, given = df.read_setup(setup), parse_channels(channel)
+    read, given = read_rig_setup(setup), parse_channels(channel)
     return replace(read, channels={**read.channels, **given}) if given else read
+
+
+def read_rig_setup(setup: Path) -> df.Setup:
+    """Read the set-up of a push rig.
+
+    Raises `InputError` where the file is wrong, or is that of an axis.
+    """
+    if is_axis_file(setup):
+        raise InputError(
+            f"{setup}: the set-up of an axis, which has no pushes: check, fit, identify, diagnose "
+            "and simulate take it"
+        )
+    return df.read_setup(setup)
 
 
 def parse_channels(channel: list[str] | None) -> dict[str, str]:
@@ -90,9 +104,15 @@ def load_data(
     unless `trust_units`.
     """
     # Not at the top: help needs no check. The set-up says that these are pushes, and no axis.
+    from difffric.axis.files.file_kind import is_axis_recording
     from difffric.measurements.load_file import load
     from difffric.measurements.unit_checks import refuse_wrong_units
 
+    if is_axis_recording(data) and not setup.channels:
+        raise InputError(
+            f"{data}: the recording of an axis (force and position over time) beside the set-up of "
+            "a push rig: expected a set-up with [axis], or pushes"
+        )
     loaded = load(data, skip_bad=skip_bad, channels=setup.channels)
     if trust_units:
         return loaded
@@ -123,7 +143,7 @@ def load_rig(
 
     Raises `InputError` where the file or a given value is wrong.
     """
-    rig = df.load_setup(setup)
+    rig = read_rig_setup(setup).rig
     given = {
         "mu_s": require_positive("--mu-s", mu_s),
         "mass_kg": require_positive("--mass-kg", mass_kg),

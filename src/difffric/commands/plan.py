@@ -10,7 +10,7 @@ import typer
 import difffric as df
 from difffric.commands import reports
 from difffric.commands.console import check_out, print_and_write, show_progress
-from difffric.commands.options import Out, Quiet, Setup, require_positive
+from difffric.commands.options import Out, Quiet, Setup, read_rig_setup, require_positive
 from difffric.units import from_mm, from_mm_min, from_um
 
 
@@ -49,7 +49,7 @@ def plan(
     require_positive("--reach-mm", reach_mm)
     require_positive("--mu-s", mu_s)
     require_positive("--radius-mm", radius_mm)
-    said = reports.plan.replace_mu_s(df.read_setup(setup), mu_s, mu_s_se)
+    said = reports.plan.replace_mu_s(read_rig_setup(setup), mu_s, mu_s_se)
     offset, error, found = reports.plan.find_offset(offset_um, offset_se_um, ring, radius_mm)
     known = df.centering.Known.of(
         said,

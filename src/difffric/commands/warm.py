@@ -10,7 +10,7 @@ import typer
 
 import difffric as df
 from difffric.commands.console import show_progress
-from difffric.commands.options import Quiet
+from difffric.commands.options import Quiet, read_rig_setup
 
 
 def warm(
@@ -31,7 +31,7 @@ def warm(
         rigs = [df.studies.published_tables.guess_rig(stroke) for stroke in (None, 2e-3)]
         setups = [df.Setup(rig) for rig in rigs]
     else:
-        setups = [df.read_setup(setup)]
+        setups = [read_rig_setup(setup)]
     start, made = time.perf_counter(), 0
     with show_progress(quiet) as tell:
         for name, why, _ in first_runs.make_programs(setups, processes, tell):

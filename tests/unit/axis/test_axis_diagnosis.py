@@ -76,6 +76,15 @@ def test_the_extended_set_up_explains_what_the_plain_one_did_not():
     assert np.isfinite(fit.standard_error("mass_kg"))
 
 
+def test_what_is_too_small_to_matter_is_not_left_over_either():
+    """A cogging of 1 % of Coulomb friction, where only 5 % matter."""
+    axis = Axis(effects={"amplitude": 0.2, "period": 0.012, "phase": 1.0})
+    data = make(axis, seed=1, speeds=(0.05, 0.1, 0.2, 0.3))
+    found = diagnose_axis(ROUGH, data, matters=0.05)
+    assert (found.verdict, found.causes) == ("adequate", ())
+    assert [x.id for x in found.negligible] == ["cogging"]
+
+
 def test_a_force_that_comes_and_goes_is_no_effect_of_the_table():
     speeds = (0.05, 0.1, 0.2)
     found = diagnose_axis(ROUGH, make(Axis(), seed=3, disturbance=1.0, speeds=speeds))

@@ -93,10 +93,48 @@ def test_a_tdms_has_a_group_for_each_stretch(tmp_path, made):
                     f"s{k}", "position", 1e6 * made.measured[own], says | {"unit_string": "um"}
                 ),
             ])  # fmt: skip
-    for data in (load_axis(path), df.load(path)):
+    said = {"force": "force", "position": "position"}
+    for data in (load_axis(path), df.load(path), load_axis(path, channels=said)):
         assert [x.name for x in data.stretches] == ["s0", "s1"]
         assert np.allclose(data.stretches[1].position, made.measured[made.stretch == 1])
         assert np.allclose(data.stretches[1].time, made.t[made.stretch == 1])
+
+
+def test_names_that_are_said_are_read(tmp_path, made):
+    path = tmp_path / "a.csv"
+    write_csv(path, made)
+    plain = load_axis(path)
+    heading, rest = path.read_text().split("\n", 1)
+    assert heading == "time_s,force_N,position_mm,stretch"
+    path.write_text("Zeit,Kraft [N],Weg (mm),stretch\n" + rest)
+    said = {"time_s": "Zeit", "force": "Kraft", "position": "Weg"}
+    for data in (load_axis(path, channels=said), df.load(path, channels=said)):
+        for one, expected in zip(data.stretches, plain.stretches, strict=True):
+            assert np.array_equal(one.position, expected.position)
+            assert np.array_equal(one.force, expected.force)
+    with pytest.raises(InputError, match="--channel position='Weg "):
+        load_axis(path, channels={"time_s": "Zeit"})
+
+
+def test_columns_that_are_none_of_ours_are_passed_over(tmp_path, made):
+    """An index without a name, as pandas writes it; a set-point, named almost as a position."""
+    path = tmp_path / "a.csv"
+    write_csv(path, made)
+    rows = path.read_text().splitlines()
+    more = [f"{i - 1 if i else ''},{row},{0 if i else 'position_set_mm'}"
+            for i, row in enumerate(rows)]  # fmt: skip
+    plain = load_axis(path)
+    path.write_text("\n".join(more))
+    for one, expected in zip(load_axis(path).stretches, plain.stretches, strict=True):
+        assert np.array_equal(one.position, expected.position)
+
+
+def test_a_set_up_says_what_files_call_their_columns():
+    axis = parse_axis(SETUP + "\n[files]\nforce = 'Kraft'\n")
+    assert axis.channels == {"force": "Kraft"}
+    assert parse_axis(format_axis(axis)).channels == axis.channels
+    with pytest.raises(InputError, match=r"\[files\] force: expected a name in quotes, got 3"):
+        parse_axis(SETUP + "\n[files]\nforce = 3\n")
 
 
 def test_a_matlab_file_is_refused_with_the_line_that_converts_it(tmp_path):
@@ -120,6 +158,51 @@ def test_what_a_text_lacks_is_named(tmp_path, text, words):
     path.write_text(text)
     with pytest.raises(InputError, match=words):
         load_axis(path)
+
+
+def write_tdms(path, channels):
+    with TdmsWriter(path) as file:
+        file.write_segment([
+            RootObject(), GroupObject("1"),
+            *(ChannelObject("1", name, samples, says) for name, samples, says in channels),
+        ])  # fmt: skip
+
+
+def test_a_tdms_may_have_other_names_and_units_and_a_channel_of_times(tmp_path, made):
+    path = tmp_path / "a.tdms"
+    write_tdms(path, [
+        ("Zeit", 1e3 * made.t, {"unit_string": "ms"}),
+        ("Kraft", 1e-3 * made.force, {"unit_string": "kN"}),
+        ("Weg", 1e3 * made.measured, {"unit_string": "mm"}),
+    ])  # fmt: skip
+    data = load_axis(path, channels={"time": "Zeit", "force": "Kraft", "position": "Weg"})
+    (one,) = data.stretches
+    assert np.allclose(one.time, made.t)
+    assert np.allclose(one.force, made.force)
+    assert np.allclose(one.position, made.measured)
+    assert "channel Kraft: converted from kN" in data.notes
+    with pytest.raises(InputError, match="--channel force=Kraft --channel position=Weg"):
+        load_axis(path)
+
+
+@pytest.mark.parametrize(
+    ("says", "words"),
+    [
+        ({"unit_string": "mm"}, "wf_increment: missing"),
+        ({"unit_string": "mm", "wf_increment": -1.0}, "wf_increment: expected a number > 0"),
+        ({"unit_string": "N", "wf_increment": 1e-3}, "expected um, mm or m, got 'N'"),
+        ({"wf_increment": 1e-3}, "expected um, mm or m, got none"),
+    ],
+)
+def test_what_a_tdms_lacks_is_named(tmp_path, made, says, words):
+    path = tmp_path / "a.tdms"
+    write_tdms(path, [
+        ("force", made.force, {"unit_string": "N", "wf_increment": 1e-3}),
+        ("position", made.measured, says),
+    ])  # fmt: skip
+    with pytest.raises(InputError, match=words) as found:
+        load_axis(path)
+    assert "\n" not in str(found.value)
 
 
 def stretch(t, force, x):
@@ -148,7 +231,7 @@ def test_what_cannot_be_fitted_is_refused(data, words):
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (stretch(np.where(T > 2, T + 1, T), WAVE, WAVE), "1 gaps in time"),
+        (stretch(np.where(T > 2, T + 1, T), WAVE, WAVE), "1 gap in time"),
         (stretch(T, np.clip(WAVE, -5, 5), WAVE), "a saturated drive?"),
         (stretch(T, WAVE, (0.9 * T) % 1.0), "an encoder that wraps?"),
     ],
@@ -172,3 +255,6 @@ def test_an_axis_and_a_push_are_not_mixed_up(made, tmp_path):
         df.fit(rig, df.load(path))
     with pytest.raises(InputError, match="expected a recording of an axis"):
         df.fit(parse_axis(SETUP), pushes)
+    with pytest.raises(InputError, match="a table of pushes") as found:
+        load_axis(EXAMPLES / "pushes.csv")
+    assert "\n" not in str(found.value)

@@ -107,6 +107,24 @@ def test_a_motion_that_is_imposed_gives_the_friction_and_leaves_the_mass_open():
     assert fit.value("offset_N") == pytest.approx(0.75, abs=0.03)
 
 
+@pytest.mark.parametrize(("sign", "words"), [(-1, "is its sign"), (0, "is its channel the drive")])
+def test_a_force_that_does_not_answer_to_an_imposed_motion_is_refused(sign, words):
+    g = np.random.default_rng(9)
+    t = np.arange(0, 40, 0.01)
+    x = 0.02 * (2 / np.pi) * np.arcsin(np.sin(2 * np.pi * t / 8))
+    force = sign * 4.0 * np.sign(np.gradient(x)) + 0.3 * g.normal(size=len(t))
+    data = AxisRecordings([AxisStretch("1", t, force, x)], are_given=False)
+    with pytest.raises(InputError, match=words):
+        fit_axis(AxisSetup(mass=0.5, coulomb=1.0), data)
+
+
+def test_a_late_drive_leaves_a_force_over_and_no_sure_break_away():
+    """4 ms late, on an axis that breaks away at 24 N: the fit says that something is missing."""
+    fit = fit_axis(ROUGH, make(Axis(delay=0.004), seed=5))
+    assert distance(fit, "breakaway_N", {"breakaway_N": 24.0}) < 4
+    assert any("diagnose looks for its cause" in note for note in fit.notes)
+
+
 def test_parameters_that_are_held_stay():
     held = replace(ROUGH, k_v=190.0, extras={"k_v_N_s_per_m": AxisExtras(free=False)})
     fit = fit_axis(held, make(Axis(), seed=5))

@@ -93,8 +93,8 @@ def diagnose_axis(
         tell("fitting", 0.1)
         plain = search(ready.run_data, start, names, imposed)
         plain, bounded = hold_in_bounds(ready, plain, setup)
-        found, end = _add_causes(ready, setup, plain, tell)
-        found, small, end = _part_by_size(ready, found, plain, end, matters)
+        found, whole = _add_causes(ready, setup, plain, tell)
+        found, small, end = _part_by_size(ready, found, plain, whole, matters)
         tell("judging on stretches held out", 0.8)
         gain = AxisGain(
             judge_held_out(ready, plain.values, plain.names, imposed, end.noise.sizes, plain.model),
@@ -102,7 +102,9 @@ def diagnose_axis(
         )
         before = conclude_fit(setup, ready, plain, left_open, bounded)
         after = conclude_fit(setup, ready, end, left_open, bounded) if found else before
-        remaining = _find_remainder(ready, end, after, matters)
+        # What is seen and too small to matter is not left over: it is known what it is.
+        left = conclude_fit(setup, ready, whole, left_open) if small else after
+        remaining = _find_remainder(ready, whole, left, matters)
     causes = tuple(_describe(ready, one, end) for one in found)
     verdict = _choose_verdict(causes, remaining)
     return AxisDiagnosis(

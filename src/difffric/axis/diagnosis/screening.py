@@ -127,8 +127,8 @@ def _find_best(
     else:
         width = len(shapes[0].columns[0])
         extra = [
-            scale * np.column_stack(
-                [model.respond_to(k, force) for s in shapes for force in s.columns[k]]
+            scale * model.respond_to(
+                k, np.column_stack([force for s in shapes for force in s.columns[k]])
             )
             for k in runs
         ]  # fmt: skip

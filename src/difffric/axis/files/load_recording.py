@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from difffric.atomic_files import open_file
-from difffric.axis.files.file_kind import TEXTS
+from difffric.axis.files.file_kind import TEXTS, find_push_columns
 from difffric.axis.recordings import NEWTON, VOLT, AxisRecordings, AxisStretch
 from difffric.errors import InputError
 from difffric.measurements.files.named_columns import read_columns
 from difffric.measurements.quantities import MeasuredQuantity, join_problems
-from difffric.measurements.recordings import Recordings
 from difffric.value_ranges import ANY
 
 COLUMNS = (
@@ -28,24 +26,28 @@ COLUMNS = (
 )
 """What a row of a recording may say; another unit in a column's name is converted."""
 
-_FORCE = {"N": NEWTON, "V": VOLT}
-_LENGTH = {"um": 1e-6, "µm": 1e-6, "μm": 1e-6, "mm": 1e-3, "m": 1.0}
-
 
 def load_axis(
-    path: str | os.PathLike, *, skip_bad: bool = False, needs_position: bool = True
+    path: str | os.PathLike,
+    *,
+    skip_bad: bool = False,
+    channels: Mapping[str, str] | None = None,
+    needs_position: bool = True,
 ) -> AxisRecordings:
     """The recording of an axis, in SI units, its drive in volts where it was recorded so.
 
-    With `skip_bad` rows that cannot be used are left out; without `needs_position` a text may be of
-    forces alone, whose positions are NaN. Raises `InputError` naming all that is
-    wrong with the file.
+    `channels`: the name of a column or channel by ours, where they differ, such as
+    `{"force": "Kraft"}`. With `skip_bad` rows that cannot be used are left out; without
+    `needs_position` a text may be of forces alone, whose positions are NaN. Raises `InputError`
+    naming all that is wrong with the file.
     """
     suffix = Path(path).suffix.lower()
-    if suffix in TEXTS:
-        return _read_text(path, skip_bad, needs_position)
+    if suffix in (*TEXTS, ".xlsx"):
+        return _read_text(path, skip_bad, needs_position, channels or {})
     if suffix == ".tdms":
-        return _read_tdms(path)
+        from difffric.axis.files.tdms_recording import read_tdms  # texts need no npTDMS
+
+        return read_tdms(path, channels or {})
     if suffix == ".mat":
         name = Path(path).stem
         raise InputError(
@@ -58,31 +60,6 @@ def load_axis(
     )
 
 
-def convert_recordings(data: Recordings) -> AxisRecordings:
-    """The recordings of a `.tdms` that was read as one of pushes, as those of an axis.
-
-    Raises `InputError` where a group has no force or no position.
-    """
-    problems, stretches, units = [], [], set()
-    for k, push in enumerate(data):
-        if push.force is None or push.position is None:
-            problems.append(f"{data.source}: group {push.name!r}: expected force and position")
-            continue
-        t = push.position.time
-        force = push.force.samples
-        if push.force.n != len(t) or push.force.dt != push.position.dt:
-            at = np.searchsorted(push.force.time, t + 1e-9 * push.position.dt, side="right") - 1
-            force = force[np.clip(at, 0, len(force) - 1)]
-        units.add(push.force.unit)
-        name = push.name or str(k + 1)
-        stretches.append(AxisStretch(name, t, force, push.position.samples, push.condition or None))
-    if len(units) > 1:
-        problems.append(f"{data.source}: expected the force in one unit, got {sorted(units)}")
-    if problems:
-        raise InputError(join_problems(problems))
-    return AxisRecordings(stretches, units.pop(), source=data.source)
-
-
 def _find_needed(found: Set[str]) -> Sequence[Sequence[str]]:
     return (("time",), ("force", "drive"), ("position",))
 
@@ -91,9 +68,17 @@ def _find_needed_forces(found: Set[str]) -> Sequence[Sequence[str]]:
     return (("time",), ("force", "drive"))
 
 
-def _read_text(path: str | os.PathLike, skip_bad: bool, needs_position: bool) -> AxisRecordings:
+def _read_text(
+    path: str | os.PathLike, skip_bad: bool, needs_position: bool, channels: Mapping[str, str]
+) -> AxisRecordings:
     needed = _find_needed if needs_position else _find_needed_forces
-    read = read_columns(path, COLUMNS, find_needed=needed, pass_over=True)
+    of_pushes = find_push_columns(path)
+    if of_pushes and not channels:
+        raise InputError(
+            f"{path}: a table of pushes ({', '.join(of_pushes)}) beside the set-up of an axis: "
+            "expected time_s, force_N or drive_V, and position_mm, a row a sample"
+        )
+    read = read_columns(path, COLUMNS, find_needed=needed, channels=channels, pass_over=True)
     values, problems = read.values, [f"{path}: line {words}" for _, words in read.problems]
     unit = "force" if "force" in values else "drive"
     values.setdefault("position", np.full(len(read.lines), np.nan))
@@ -140,61 +125,5 @@ def _read_text(path: str | os.PathLike, skip_bad: bool, needs_position: bool) ->
         "stretch" in values,
         tuple(notes),
         str(path),
+        read.headings,
     )
-
-
-def _read_tdms(path: str | os.PathLike) -> AxisRecordings:
-    import nptdms  # here, as texts need none
-
-    open_file(path).close()
-    try:
-        file = nptdms.TdmsFile.read(str(path))
-    except Exception as error:  # npTDMS raises all sorts for a damaged file
-        raise InputError(f"{path}: not a TDMS file that can be read: {error}") from None
-    problems, stretches, units = [], [], set()
-    for group in file.groups():
-        where = f"{path}: group {group.name!r}"
-        channels = {x.name.strip().lower(): x for x in group.channels()}
-        missing = [x for x in ("force", "position") if x not in channels]
-        if missing:
-            got = ", ".join(channels) or "none"
-            problems.append(f"{where}: channel {' and '.join(missing)} missing, found {got}")
-            continue
-        force, position = channels["force"], channels["position"]
-        of_force = str(force.properties.get("unit_string", "")).strip()
-        of_position = str(position.properties.get("unit_string", "")).strip()
-        step = position.properties.get("wf_increment")
-        if of_force not in _FORCE:
-            problems.append(f"{where}: force: unit_string: expected N or V, got {of_force!r}")
-        if of_position not in _LENGTH:
-            problems.append(
-                f"{where}: position: unit_string: expected um, mm or m, got {of_position!r}"
-            )
-        if not isinstance(step, int | float) or not step > 0:
-            problems.append(f"{where}: position: wf_increment: expected a number > 0, got {step!r}")
-            continue
-        x = np.asarray(position[:], float) * _LENGTH.get(of_position, 1.0)
-        F = np.asarray(force[:], float)
-        t = float(position.properties.get("wf_start_offset", 0.0)) + step * np.arange(len(x))
-        of_samples = float(force.properties.get("wf_increment", step))
-        begin = float(force.properties.get("wf_start_offset", 0.0))
-        if len(F) == 0 or len(x) == 0:
-            problems.append(f"{where}: no samples")
-            continue
-        at = np.floor((t - begin) / of_samples + 1e-6).astype(int)
-        units.add(_FORCE.get(of_force, NEWTON))
-        condition = group.properties.get("condition")
-        stretches.append(
-            AxisStretch(
-                group.name,
-                t,
-                F[np.clip(at, 0, len(F) - 1)],
-                x,
-                None if condition is None else str(condition),
-            )
-        )
-    if len(units) > 1:
-        problems.append(f"{path}: expected the force in one unit, got {sorted(units)}")
-    if problems or not stretches:
-        raise InputError(join_problems(problems or [f"{path}: no groups"]))
-    return AxisRecordings(stretches, units.pop(), source=str(path))

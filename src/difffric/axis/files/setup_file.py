@@ -51,6 +51,8 @@ _SECTIONS = {
     for section in ("axis", "friction", "drive", "probe")
 }
 _EXTRAS = ("value", "standard_error", "free", "lower", "upper")
+_FILES = "files"
+"""The table of the names that recordings have for what we call otherwise."""
 _RIGS = ("part", "contact", "pusher", "force_sensor")
 
 
@@ -114,7 +116,9 @@ def parse_axis(text: str, name: str = "setup.toml") -> AxisSetup:
     if problems:
         raise InputError("\n".join(f"{name}: {x}" for x in problems))
     plain: Any = fields
-    return AxisSetup(**plain, effects=found, extras=extras, text=text.replace("\r\n", "\n"))
+    names = dict(document.get(_FILES, {}))
+    text = text.replace("\r\n", "\n")
+    return AxisSetup(**plain, effects=found, extras=extras, channels=names, text=text)
 
 
 def format_axis(setup: AxisSetup) -> str:
@@ -134,6 +138,7 @@ def format_axis(setup: AxisSetup) -> str:
             key: _format_number(value, setup.extras.get(f"{effect}.{key}"))
             for key, value in keys.items()
         }
+    tables[_FILES] = {k: json.dumps(x, ensure_ascii=False) for k, x in setup.channels.items()}
     return lay_out({name: table for name, table in tables.items() if table}, setup.text)
 
 
@@ -143,6 +148,8 @@ def _find_strangers(document: Mapping[str, Any]) -> list[str]:
     for section, table in document.items():
         if section == "effects":
             problems += _find_strange_effects(table)
+        elif section == _FILES:
+            problems += _find_strange_names(table)
         elif section not in _SECTIONS:
             if section in _RIGS:
                 problems.append(f"[{section}]: an axis has none; [axis] stands in its place")
@@ -158,6 +165,16 @@ def _find_strangers(document: Mapping[str, Any]) -> list[str]:
                 if key not in known
             ]
     return problems
+
+
+def _find_strange_names(table: Any) -> list[str]:
+    if not isinstance(table, dict):
+        return [f"[{_FILES}]: expected a table, got {_show(table)}"]
+    return [
+        f"[{_FILES}] {key}: expected a name in quotes, got {_show(given)}"
+        for key, given in table.items()
+        if not isinstance(given, str) or not given.strip()
+    ]
 
 
 def _find_strange_effects(table: Any) -> list[str]:

@@ -19,6 +19,8 @@ from difffric.units import to_mm, to_um
 _WAYS = ((1, "#1f6f8b", "forwards"), (-1, "#b4532a", "backwards"))
 _MOST_POINTS = 4000
 """Points that are drawn of a long recording at most."""
+_SPEED_OVER = 0.03
+"""Seconds that a drawn speed is made of."""
 
 
 def draw_friction(fit: AxisFit) -> Figure:
@@ -142,3 +144,45 @@ def draw_motion(moved: AxisTrajectory, force: NDArray, measured: NDArray | None)
         axes[2].set_ylabel("speed [m/s]")
         axes[2].set_xlabel("time [s]")
     return figure
+
+
+def draw_traces(fit: AxisFit) -> Figure:
+    """Draw force, position and speed of the recording over time: runs coloured by their way, what
+    lies between them grey."""
+    t, force, position, speed = ([] for _ in range(4))
+    way = []
+    for k, stretch in enumerate(fit.data.stretches):
+        sign = np.zeros(len(stretch))
+        for run in fit.runs:
+            if run.run.stretch == k:
+                sign[run.run.samples] = run.run.sign
+        way.append(sign)
+        t.append(stretch.time)
+        force.append(stretch.force)
+        position.append(to_mm(stretch.position))
+        speed.append(_smooth_speed(stretch.time, stretch.position))
+    columns = [np.concatenate(x) for x in (t, force, position, speed, way)]
+    step = max(1, len(columns[0]) // (2 * _MOST_POINTS))
+    time, *lines, sign = (x[::step] for x in columns)
+    with matplotlib.rc_context(STYLE):
+        figure, axes = make_figure(1, 7.2, 6.0, rows=3, sharex=True)
+        labels = ("force [N]", "position [mm]", "speed [mm/s]")
+        for ax, line, label in zip(axes, lines, labels, strict=True):
+            for s, colour, word in (*_WAYS, (0, "#999", "rest, turn")):
+                mine = np.where(sign == s, line, np.nan)
+                ax.plot(time, mine, ".", color=colour, ms=2, mew=0, label=word)
+            ax.set_ylabel(label)
+        axes[-1].set_xlabel("time [s]")
+        axes[0].legend(fontsize=8, markerscale=5, loc="lower right", bbox_to_anchor=(1, 1), ncols=3)
+    return figure
+
+
+def _smooth_speed(time: NDArray, position: NDArray) -> NDArray:
+    """The speed (n,) over some hundredths of a second [mm/s]."""
+    width = max(1, round(_SPEED_OVER / float(np.median(np.diff(time)))))
+    width = min(width, max(1, (len(time) - 1) // 2))
+    slope = (position[width:] - position[:-width]) / (time[width:] - time[:-width])
+    before = width // 2
+    return to_mm(np.concatenate([
+        np.full(before, slope[0]), slope, np.full(width - before, slope[-1])
+    ]))  # fmt: skip

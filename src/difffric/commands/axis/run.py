@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,23 +14,60 @@ from difffric.axis.files.setup_file import format_axis, read_axis
 from difffric.axis.fit import fit_axis
 from difffric.axis.friction_levels import identify_axis
 from difffric.axis.motion.simulate import simulate_axis
-from difffric.axis.recordings import convert_to_newtons
-from difffric.commands.axis import report
+from difffric.axis.recordings import AxisRecordings, convert_to_newtons
+from difffric.axis.setup import AxisSetup
+from difffric.axis.unit_checks import refuse_wrong_units
+from difffric.commands.axis import check, report
 from difffric.commands.console import check_setup_stays, print_and_write, show_progress
+from difffric.commands.options import parse_channels
 from difffric.errors import InputError
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How a recording is to be read, as the options say it."""
+
+    skip_bad: bool = False
+    channel: Sequence[str] | None = None
+    trust_units: bool = False
+
+
+def read_both(setup: Path, data: Path, asked: Reading) -> tuple[AxisSetup, AxisRecordings]:
+    """Return the axis and its recording, whose names the set-up and the options say.
+
+    Raises `InputError` where they cannot be used, or are plainly in other units than they say.
+    """
+    axis = read_axis(setup)
+    names = {**axis.channels, **parse_channels([*(asked.channel or ())])}
+    loaded = load_axis(data, skip_bad=asked.skip_bad, channels=names)
+    if not asked.trust_units:
+        refuse_wrong_units(axis, loaded)
+    return replace(axis, channels=names), loaded
+
+
+def run_check(data: Path, setup: Path, asked: Reading, out: Path | None, quiet: bool) -> None:
+    """Show what a fit of an axis would be given."""
+    with show_progress(quiet) as tell:
+        tell("reading", 0.0)
+        axis, loaded = read_both(setup, data, asked)
+        tell("what the data can tell", 0.3)
+        found = check.examine_recording(axis, loaded)
+        tell("drawing", 0.9)
+        page = check.report_check(axis, found, pictures=out is not None)
+    print_and_write(page, check.describe_check(found), out, timings=tell.timings)
 
 
 def run_fit(
     data: Path,
     setup: Path,
     free: Sequence[str] | None,
-    skip_bad: bool,
+    asked: Reading,
     out: Path | None,
     quiet: bool,
 ) -> None:
     """Fit an axis to a recording: result.json, report.html, figures and the fitted set-up."""
     check_setup_stays(out, setup)
-    axis, loaded = read_axis(setup), load_axis(data, skip_bad=skip_bad)
+    axis, loaded = read_both(setup, data, asked)
     with show_progress(quiet) as tell:
         found = fit_axis(axis, loaded, free=free, tell=tell)
         tell("drawing", 0.95)
@@ -38,9 +76,9 @@ def run_fit(
     print_and_write(page, found.as_dict(), out, files, tell.timings)
 
 
-def run_identify(data: Path, setup: Path, skip_bad: bool, out: Path | None, quiet: bool) -> None:
+def run_identify(data: Path, setup: Path, asked: Reading, out: Path | None, quiet: bool) -> None:
     """Give the friction level of each stretch of a recording."""
-    axis, loaded = read_axis(setup), load_axis(data, skip_bad=skip_bad)
+    axis, loaded = read_both(setup, data, asked)
     with show_progress(quiet) as tell:
         levels = identify_axis(axis, loaded, tell=tell)
     answer = {"kind": "axis", **levels.as_dict()}
@@ -49,11 +87,11 @@ def run_identify(data: Path, setup: Path, skip_bad: bool, out: Path | None, quie
 
 
 def run_diagnose(
-    data: Path, setup: Path, matters: float, skip_bad: bool, out: Path | None, quiet: bool
+    data: Path, setup: Path, matters: float, asked: Reading, out: Path | None, quiet: bool
 ) -> None:
     """Say what the plain axis lacks, and write the extended set-up."""
     check_setup_stays(out, setup)
-    axis, loaded = read_axis(setup), load_axis(data, skip_bad=skip_bad)
+    axis, loaded = read_both(setup, data, asked)
     with show_progress(quiet) as tell:
         found = diagnose_axis(axis, loaded, matters=matters, tell=tell)
         tell("drawing", 0.95)
@@ -73,7 +111,8 @@ def run_simulate(setup: Path, motion: Path | None, out: Path | None, quiet: bool
             "time_s and force_N (or drive_V), or a recording"
         )
     axis = read_axis(setup)
-    loaded = convert_to_newtons(load_axis(motion, needs_position=False), axis.gain)
+    loaded = load_axis(motion, channels=axis.channels, needs_position=False)
+    loaded = convert_to_newtons(loaded, axis.gain)
     with show_progress(quiet) as tell:
         tell("simulating", 0.0)
         time = np.concatenate([x.time for x in loaded.stretches])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difffric as df
+from difffric.axis.files.file_kind import is_axis_file
 from difffric.commands import reports
 from difffric.commands.console import check_out, print_and_write, print_next, show_progress
 from difffric.commands.options import (
@@ -31,6 +32,11 @@ def check(
 ) -> None:
     """Show what would be fitted: traces, landmarks, noise, what is missing, what can be told."""
     check_out(out)
+    if is_axis_file(setup):
+        from difffric.commands.axis import run  # pushes need none of it
+
+        asked = run.Reading(skip_bad, channel, trust_units)
+        return run.run_check(data, setup, asked, out, quiet)
     rig = read_setup_for(setup, channel)
     with show_progress(quiet) as tell:
         tell("reading", 0.0)

@@ -13,13 +13,13 @@ import typer
 from numpy.typing import NDArray
 
 import difffric as df
+from difffric.commands.first_steps.setup_text import Line, format_tables
 from difffric.commands.options import require_positive
 from difffric.errors import InputError
 from difffric.measurements.load_file import load
 from difffric.measurements.noise import Noise
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.reduction.reduce import reduce_recordings
-from difffric.name_text import make_printable
 from difffric.rig.rig import spring_damper_rig
 from difffric.rig.setup_toml import parse_setup
 from difffric.simulation.columns import observe_columns
@@ -81,7 +81,7 @@ def write_first_setup(
     if stroke is None and np.isfinite(pushes.stroke).all():
         stroke = float(pushes.stroke[0])
     mu_s, k, b = guess_contact(pushes, mass, stroke, known)
-    lines = {
+    lines: dict[str, list[Line]] = {
         "part": [("mass_kg", f"{mass:.6g}", "weigh the part: every mu_s depends on it")],
         "friction": [
             ("mu_s", f"{mu_s:.3g}", "a guess from these pushes; a fit finds it for each condition"),
@@ -119,7 +119,7 @@ def write_first_setup(
             for key, name in names.items()
         ],
     }
-    text = _format(lines, data)
+    text = format_tables(lines, data, {"pusher": _NO_STROKE})
     parse_setup(text)
     return text, (f"guessed from the pushes: mu_s {mu_s:.2g}, k {k:.2g} N/m, b {b:.2g} N s/m")
 
@@ -184,23 +184,7 @@ def _ask_for_mass(data: Pushes | Any, given: float | None) -> float:
     raise InputError("--mass-kg is missing: the data do not say the mass of the part")
 
 
-def _write_noise(key: str, noise: Noise | None, scale: float) -> list[tuple[str, str, str]]:
+def _write_noise(key: str, noise: Noise | None, scale: float) -> list[Line]:
     if noise is None or not noise.level > 0:
         return []
     return [(key, f"{scale * noise.level:.3g}", "measured in the quiet time of these pushes")]
-
-
-def _format(tables: dict[str, list[tuple[str, str, str]]], data: Path) -> str:
-    """The set-up's text, a comment beside each number."""
-    out = [
-        f"# A first set-up for {make_printable(data.name)}, written by difffric init.",
-        "# A fit starts from these numbers.",
-        "# docs/formats.md says what each of them means and which others there are.",
-    ]
-    for name, entries in tables.items():
-        if entries:
-            rows = [f"{f'{key} = {value}':<29} # {words}" for key, value, words in entries]
-            out += ["", f"[{name}]", *rows]
-        elif name == "pusher":
-            out += _NO_STROKE
-    return "\n".join(out) + "\n"

@@ -128,8 +128,11 @@ def _match(
             times = text.header.count(name)
             found.problems.append(f"column {name} stands there {times} times, expected once")
     taken: dict[str, str] = {}
+    doubtful: list[tuple[str | None, str, str]] = []
     units = text.units or [""] * len(text.header)
     for i, (name, unit) in enumerate(zip(text.header, units, strict=True)):
+        if not name and pass_over:
+            continue
         if not name:
             found.problems.append(f"column {i + 1} has no name")
             continue
@@ -139,16 +142,24 @@ def _match(
         try:
             heading = read_heading(name, known, unit, meanings.get(name, ""))
         except HeadingError as error:
-            near = error.near is not None or name in meanings
-            found.misnamed |= {error.near} if error.near else set()
-            found.passed_over += [] if near else [name]
-            (found.problems if near else found.strange).append(f"column {name}: {error}")
+            words = f"column {name}: {error}"
+            if error.near is None and name not in meanings:
+                found.passed_over.append(name)
+                found.strange.append(words)
+            else:
+                doubtful.append((None if name in meanings else error.near, name, words))
             continue
         attribute = heading.quantity.attribute
         if attribute in taken and taken[attribute] != name:
             found.problems.append(f"column {name}: {taken[attribute]} is that already")
         taken[attribute] = name
         found.headings[i] = heading
+    for near, name, words in doubtful:
+        if pass_over and near in taken:
+            found.passed_over.append(name)  # alike by chance: `position_set` beside `position`
+            continue
+        found.problems.append(words)
+        found.misnamed |= {near} if near else set()
     return found
 
 
