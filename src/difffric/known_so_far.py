@@ -12,6 +12,8 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import Any
 
+from difffric.number_text import format_values
+
 KEPT_ON_DISK = "kept on disk"
 """The name of what is written already, and stays."""
 
@@ -27,19 +29,19 @@ class Partial:
 
 
 @dataclass
-class Known:
+class KnownSoFar:
     """All that is known, by what it is: what is told again replaces what was told."""
 
     parts: dict[str, Partial] = field(default_factory=dict)
 
 
-_KEPT: ContextVar[Known | None] = ContextVar("known", default=None)
+_KEPT: ContextVar[KnownSoFar | None] = ContextVar("known", default=None)
 
 
 @contextmanager
-def keep_known() -> Iterator[Known]:
+def keep_known() -> Iterator[KnownSoFar]:
     """Yield what becomes known within."""
-    known = Known()
+    known = KnownSoFar()
     token = _KEPT.set(known)
     try:
         yield known
@@ -55,3 +57,9 @@ def tell_known(
     known = _KEPT.get()
     if known is not None:
         known.parts[what] = Partial(words, answer)
+
+
+def tell_answer(what: str, answer: Mapping[str, float] | Sequence[str]) -> None:
+    """Tell numbers by their names, or a list of names, that a person reads on one line."""
+    is_named = isinstance(answer, Mapping)
+    tell_known(what, format_values(answer) if is_named else ", ".join(answer), answer)

@@ -188,7 +188,7 @@ def test_a_whole_answer_takes_away_what_was_known_before(run, tmp_path):
 
 def test_ctrl_c_ends_what_is_to_go_on_until_then(monkeypatch):
     """As `monitor --follow`: the command goes on with what comes after, and ends as usual."""
-    command, ended = interruption.Command(), []
+    command, ended = interruption.RunningCommand(), []
     monkeypatch.setattr(command, "end", lambda: ended.append(True))
     monkeypatch.setattr(interruption, "_PATIENCE", 0.05)
     command.begin(["monitor"])

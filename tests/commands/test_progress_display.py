@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from difffric.commands.running import durations, progress_display
-from difffric.commands.running.durations import Course, keep_durations, name_work, read_course
+from difffric.commands.running.durations import PastRun, keep_durations, name_work, read_course
 from difffric.commands.running.progress_display import ProgressDisplay
 from difffric.commands.running.remaining_time import (
     RemainingTime,
@@ -20,7 +20,7 @@ from difffric.commands.running.remaining_time import (
 )
 from difffric.compute.programs.record import Record
 
-BEFORE = Course((0.0, 0.1, 0.2, 1.0), (0.0, 90.0, 95.0, 100.0))
+BEFORE = PastRun((0.0, 0.1, 0.2, 1.0), (0.0, 90.0, 95.0, 100.0))
 """Work of which the second tenth took a twentieth of the time, and the first nine tenths."""
 
 
@@ -47,7 +47,7 @@ def test_within_a_part_the_time_goes_down_and_a_part_that_takes_longer_slows_all
 
 
 def test_work_at_half_the_pace_takes_twice_as_long_yet():
-    remaining = RemainingTime(Course((0.0, 0.5, 1.0), (0.0, 1000.0, 2000.0)))
+    remaining = RemainingTime(PastRun((0.0, 0.5, 1.0), (0.0, 1000.0, 2000.0)))
     remaining.tell(0.5, 2000.0)
     assert remaining.estimate(2000.0) == pytest.approx(2000.0, rel=0.01)
 
@@ -68,7 +68,7 @@ def test_a_course_holds_when_each_share_was_done_first():
     remaining = RemainingTime()
     for share, now in ((0.0, 1.0), (0.3, 2.0), (0.1, 3.0), (0.3, 4.0), (1.0, 5.0)):
         remaining.tell(share, now)
-    assert remaining.end(6.0) == Course((0.0, 0.3, 1.0), (0.0, 2.0, 6.0))
+    assert remaining.end(6.0) == PastRun((0.0, 0.3, 1.0), (0.0, 2.0, 6.0))
 
 
 @pytest.mark.parametrize(
@@ -153,7 +153,7 @@ def test_a_terminal_shows_what_is_done_how_far_and_what_remains(cache):
 
 def test_what_is_compiled_is_told_with_how_long_it_took_the_last_time(cache, monkeypatch):
     name = "difffric.estimation.extended_model._answer"
-    slow = Course((0.0, 1.0), (0.0, 500.0))
+    slow = PastRun((0.0, 1.0), (0.0, 500.0))
     keep_durations("fit 2^0", False, BEFORE, {name: 62.0})
     keep_durations("fit 2^0", True, slow, {})
     monkeypatch.setattr(progress_display, "UNDER_WAY", under_way := [])

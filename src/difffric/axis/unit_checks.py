@@ -33,7 +33,7 @@ _TRUST = "(--trust-units takes them as they are)"
 
 
 @dataclass(frozen=True)
-class _Guess:
+class _WrongUnit:
     """A column whose numbers are to be multiplied by a factor, and what becomes of the numbers."""
 
     column: str
@@ -45,7 +45,7 @@ class _Guess:
 
 
 _GUESSES = tuple(
-    _Guess(column, factor, *powers)
+    _WrongUnit(column, factor, *powers)
     for column, powers in (("position", (-1, 0)), ("force", (1, 1)), ("time", (2, 0)))
     for factor in (1e3, 1e-3, 1e6, 1e-6)
 )

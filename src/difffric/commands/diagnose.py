@@ -66,7 +66,7 @@ def diagnose(
     if is_axis_file(file):
         from difffric.commands.axis import run  # pushes need none of it
 
-        asked = run.Reading(skip_bad, channel, trust_units)
+        asked = run.ReadOptions(skip_bad, channel, trust_units)
         return run.run_diagnose(data, file, matters, asked, out, quiet)
     check_setup_stays(out, file)
     rig = read_setup_for(file, channel)

@@ -87,7 +87,7 @@ def fit(
         ):
             if given:
                 raise InputError(f"{option} is for pushes only: {setup} is the set-up of an axis")
-        asked = run.Reading(skip_bad, channel, trust_units)
+        asked = run.ReadOptions(skip_bad, channel, trust_units)
         return run.run_fit(data, setup, free or None, asked, out, quiet)
     check_setup_stays(out, setup)
     rig = read_setup_for(setup, channel)

@@ -49,7 +49,7 @@ def identify(
     if is_axis_file(file):
         from difffric.commands.axis import run  # pushes need none of it
 
-        asked = run.Reading(skip_bad, channel, trust_units)
+        asked = run.ReadOptions(skip_bad, channel, trust_units)
         return run.run_identify(data, file, asked, out, quiet)
     rig = read_setup_for(file, channel)
     loaded = load_data(data, rig, skip_bad, trust_units)

@@ -53,10 +53,9 @@ from difffric.estimation import ensemble, ensemble_refits
 from difffric.estimation.effect_coordinates import PLAIN
 from difffric.estimation.ensemble import Fits
 from difffric.estimation.extended_model import PRESLIDING
-from difffric.known_so_far import tell_known
+from difffric.known_so_far import tell_answer
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
-from difffric.number_text import format_values
 from difffric.progress import Tell, silent
 from difffric.rig.catalogue import numbers_of
 from difffric.rig.rig import Rig
@@ -170,8 +169,7 @@ class _CauseSearch(CauseRounds):
                 "diagnose: the fitted plain model could not be followed through every push"
             )
         if tell is not silent:  # a fleet's rig has its answer in the end, or none
-            values = describe_plain(task, plain)
-            tell_known("the plain fit, without error bars", format_values(values), values)
+            tell_answer("the plain fit, without error bars", describe_plain(task, plain))
         lack = measure_lack_of_fit(task, plain)
         validation = CrossValidation(task, folds)
         return cls(setup, start, validation, matters, tell, plain, lack, plain)
@@ -286,8 +284,7 @@ class _CauseSearch(CauseRounds):
         self.tell("fitting the causes", 0.7)
         self.base = self.whole = fit_causes(task, self.plain, found, items)
         if items and self.tell is not silent:
-            named = ", ".join(item.effect for item in items)
-            tell_known("what stands out, before it is judged", named, named.split(", "))
+            tell_answer("what stands out, before it is judged", [x.effect for x in items])
         if items:
             bare = self._leave_out(self.base, *(item.effect for item in items))
             value = ensemble.criterion(task, ensemble.join(self.plain, bare))
@@ -391,13 +388,11 @@ class _CauseSearch(CauseRounds):
             return base
         task = self.start.data.task
         gone = task.model.coordinates.indices([x for e in effects for x in numbers_of(e)])
-        c = base.c.copy()
+        c, extra = base.c.copy(), tuple(i for i in base.extra[0] if i not in gone)
         c[0, gone] = self.plain.c[0, gone]
-        extra = tuple(i for i in base.extra[0] if i not in gone)
         less = replace(base, c=c, extra=(extra,), gram=None, residual=None, damping=None)
         # Without a strong effect the plain parameters are elsewhere: where they were before.
-        there = c.copy()
-        shared = list(task.shared)
+        there, shared = c.copy(), list(task.shared)
         there[0, shared] = self.plain.c[0, shared]
         before = replace(less, c=there, mu=self.plain.mu, own=self.plain.own)
         both = ensemble.join(less, before)

@@ -24,7 +24,7 @@ from difffric.errors import InputError
 
 
 @dataclass(frozen=True)
-class Reading:
+class ReadOptions:
     """How a recording is to be read, as the options say it."""
 
     skip_bad: bool = False
@@ -32,7 +32,7 @@ class Reading:
     trust_units: bool = False
 
 
-def read_both(setup: Path, data: Path, asked: Reading) -> tuple[AxisSetup, AxisRecordings]:
+def read_both(setup: Path, data: Path, asked: ReadOptions) -> tuple[AxisSetup, AxisRecordings]:
     """Return the axis and its recording, whose names the set-up and the options say.
 
     Raises `InputError` where they cannot be used, or are plainly in other units than they say.
@@ -45,7 +45,7 @@ def read_both(setup: Path, data: Path, asked: Reading) -> tuple[AxisSetup, AxisR
     return replace(axis, channels=names), loaded
 
 
-def run_check(data: Path, setup: Path, asked: Reading, out: Path | None, quiet: bool) -> None:
+def run_check(data: Path, setup: Path, asked: ReadOptions, out: Path | None, quiet: bool) -> None:
     """Show what a fit of an axis would be given."""
     with show_progress(quiet) as tell:
         tell("reading", 0.0)
@@ -61,7 +61,7 @@ def run_fit(
     data: Path,
     setup: Path,
     free: Sequence[str] | None,
-    asked: Reading,
+    asked: ReadOptions,
     out: Path | None,
     quiet: bool,
 ) -> None:
@@ -76,7 +76,9 @@ def run_fit(
     print_and_write(page, found.as_dict(), out, files, tell.timings)
 
 
-def run_identify(data: Path, setup: Path, asked: Reading, out: Path | None, quiet: bool) -> None:
+def run_identify(
+    data: Path, setup: Path, asked: ReadOptions, out: Path | None, quiet: bool
+) -> None:
     """Give the friction level of each stretch of a recording."""
     axis, loaded = read_both(setup, data, asked)
     with show_progress(quiet) as tell:
@@ -87,7 +89,7 @@ def run_identify(data: Path, setup: Path, asked: Reading, out: Path | None, quie
 
 
 def run_diagnose(
-    data: Path, setup: Path, matters: float, asked: Reading, out: Path | None, quiet: bool
+    data: Path, setup: Path, matters: float, asked: ReadOptions, out: Path | None, quiet: bool
 ) -> None:
     """Say what the plain axis lacks, and write the extended set-up."""
     check_setup_stays(out, setup)

@@ -35,7 +35,7 @@ def check(
     if is_axis_file(setup):
         from difffric.commands.axis import run  # pushes need none of it
 
-        asked = run.Reading(skip_bad, channel, trust_units)
+        asked = run.ReadOptions(skip_bad, channel, trust_units)
         return run.run_check(data, setup, asked, out, quiet)
     rig = read_setup_for(setup, channel)
     with show_progress(quiet) as tell:

@@ -27,7 +27,7 @@ _LEAST = 3.0
 
 
 @dataclass(frozen=True)
-class Course:
+class PastRun:
     """How a piece of work went: when which share of it was done."""
 
     shares: tuple[float, ...]
@@ -50,14 +50,14 @@ def name_work(words: Sequence[str]) -> str:
     return " ".join([command, *options, f"2^{round(math.log2(size + 1))}"])
 
 
-def read_course(work: str, compiled: bool) -> Course | None:
+def read_course(work: str, compiled: bool) -> PastRun | None:
     """Return how such work went the last time that programs were `compiled` for it, or none were;
     None where that is not known."""
     found = _read()["courses"].get(_name_course(work, compiled))
     if not isinstance(found, dict):
         return None
     try:
-        course = Course(tuple(map(float, found["shares"])), tuple(map(float, found["seconds"])))
+        course = PastRun(tuple(map(float, found["shares"])), tuple(map(float, found["seconds"])))
     except (KeyError, TypeError, ValueError):
         return None
     good = len(course.shares) == len(course.seconds) > 1 and course.shares[-1] == 1.0
@@ -70,7 +70,7 @@ def read_compile_times() -> dict[str, float]:
     return {name: x for name, x in times.items() if isinstance(x, (int, float)) and x > 0}
 
 
-def keep_durations(work: str, compiled: bool, course: Course, programs: dict[str, float]) -> None:
+def keep_durations(work: str, compiled: bool, course: PastRun, programs: dict[str, float]) -> None:
     """Keep how a piece of work went, and how long [s] its programs took to compile."""
     folder = os.environ.get(CACHE)
     if not folder or (course.whole < _LEAST and not programs):

@@ -20,7 +20,7 @@ from threading import Lock, Thread, current_thread, main_thread
 from typing import NoReturn
 
 from difffric import leftovers
-from difffric.known_so_far import KEPT_ON_DISK, Known, keep_known
+from difffric.known_so_far import KEPT_ON_DISK, KnownSoFar, keep_known
 from difffric.name_text import make_printable
 
 STOPPED = 130
@@ -31,7 +31,7 @@ _PLACING = 5.0
 """How long [s] files that take their places are waited for: it takes them milliseconds."""
 
 
-class Command:
+class RunningCommand:
     """The command that runs: what it does, what it knows, and how it is ended."""
 
     def __init__(self) -> None:
@@ -40,7 +40,7 @@ class Command:
         """the folder that was asked for"""
         self.now = ""
         """what is being done"""
-        self.known = Known()
+        self.known = KnownSoFar()
         self._began = time.monotonic()
         self._patience = _PATIENCE
         self._ending = Lock()
@@ -176,5 +176,5 @@ def _kill_children() -> None:
             child.kill()
 
 
-COMMAND = Command()
+COMMAND = RunningCommand()
 """The one of this process."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 
-from difffric.commands.running.durations import Course
+from difffric.commands.running.durations import PastRun
 
 _AS_BEFORE = 5.0
 """How long [s] it is believed that this time goes as the last, before its own pace counts more."""
@@ -22,7 +22,7 @@ _GOES_ON = 0.5
 class RemainingTime:
     """Hears what share of the work is done, and when; times are seconds from its beginning."""
 
-    def __init__(self, before: Course | None = None):
+    def __init__(self, before: PastRun | None = None):
         self.before = before
         self._shares, self._seconds = [0.0], [0.0]
 
@@ -31,14 +31,14 @@ class RemainingTime:
         self._shares.append(max(min(share, 1.0), self._shares[-1]))
         self._seconds.append(now)
 
-    def end(self, now: float) -> Course:
+    def end(self, now: float) -> PastRun:
         """Return how the work went, which ends now."""
         shares, seconds = [*self._shares, 1.0], [*self._seconds, now]
         # Of what was told several times, when it was told first.
         kept = [0, *(i for i in range(1, len(shares)) if shares[i] > shares[i - 1])]
         if shares[kept[-1]] == 1.0:
             kept[-1] = len(shares) - 1
-        return Course(tuple(shares[i] for i in kept), tuple(seconds[i] for i in kept))
+        return PastRun(tuple(shares[i] for i in kept), tuple(seconds[i] for i in kept))
 
     def estimate(self, now: float) -> float | None:
         """Return the seconds that remain; None: nothing is known of them."""
@@ -59,7 +59,7 @@ class RemainingTime:
         return pace * max(self.before.whole - reached, 0.0)
 
 
-def _interpolate(share: float, course: Course) -> float:
+def _interpolate(share: float, course: PastRun) -> float:
     """Return when, in that course, this share was done."""
     i = bisect_right(course.shares, share)
     if i == 0:

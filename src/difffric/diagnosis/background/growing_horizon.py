@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.diagnosis.background.size_scan import place_cutting_effects
+from difffric.diagnosis.background.size_scan import FROM_AFAR, place_cutting_effects
 from difffric.diagnosis.data import DiagnosisData
 from difffric.diagnosis.starting_values import find_contact_time
 from difffric.estimation import ensemble, ensemble_refits
@@ -84,7 +84,8 @@ def fit_with_growing_horizon(
         at = ensemble_refits.refit(
             cut_at(task, horizon), forget_answers(at), _AT_EACH_HORIZON, tol=_WORTH
         )
-    at, cutting = place_cutting_effects(task, forget_answers(at), effects, data.scales)
+    at = forget_answers(at)
+    at, cutting = place_cutting_effects(task, at, effects, data.scales, FROM_AFAR)
     at = ensemble_refits.refit(
         cut_at(task, release), forget_answers(at), _AT_EACH_HORIZON, tol=_WORTH
     )

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from difffric.diagnosis.background.cause_sets import (
     CauseSet,
@@ -33,8 +34,10 @@ from difffric.diagnosis.background.shape_columns import (
     list_shapes,
 )
 from difffric.diagnosis.background.shape_pursuit import pursue_shapes
+from difffric.diagnosis.background.size_scan import CUTTING, place_cutting_effects
 from difffric.diagnosis.background.small_effects import SmallEffects, choose_small_effects
 from difffric.diagnosis.data import DiagnosisData, choose_subset
+from difffric.diagnosis.score_test import SIGNIFICANT, count_looks
 from difffric.estimation import ensemble, ensemble_refits
 from difffric.estimation.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import numbers_of
@@ -143,6 +146,23 @@ class _JointSearch:
         if gain < 2 * first[best].price:
             return False
         self.joint, self.shaped = found, (*self.shaped, first[best].items[0].effect)
+        return True
+
+    def place_cuts(self, evidence: Evidence) -> bool:
+        """Place what cuts pushes short, of which no column tells unless its size is nearly right;
+        whether it helps."""
+        task = self.small.assume(self.data.task, WIDE)
+        effects = [effect for effect in self.effects if effect not in self.shaped]
+        price = float(scipy.stats.chi2.isf(SIGNIFICANT / count_looks(CUTTING[0], len(effects)), 1))
+        share = price / float(task.counts.sum())
+        start, cutting = place_cutting_effects(task, self.joint, effects, self.data.scales, share)
+        if not cutting:
+            return False
+        fits = ensemble_refits.refit(task, start, _ROUNDS, tol=ROUGHLY)
+        before, after = (float(ensemble.criterion(task, x)[0]) for x in (self.joint, fits))
+        if before - after < price * evidence.excess:
+            return False
+        self.joint, self.shaped = fits, (*self.shaped, *cutting)
         return True
 
     def place_shapes(self, evidence: Evidence) -> bool:
@@ -259,6 +279,8 @@ def search_background(
             ways = ways[:1]
         if evidence.excess > MOST_EXCESS:
             ways = [search.add_shape]
+        if measure_left(data.task, search.joint) > ARRIVED:
+            ways = [search.place_cuts, *ways]
         if not any(place(evidence) for place in ways):
             break
         evidence = search.weigh()

@@ -20,25 +20,28 @@ CUTTING = ("pusher_duration",)
 """Effects that cut a push short."""
 _SIZES, _ROUNDS = 24, 4
 """Sizes that are tried at once, and how often, each time between the best one's neighbours."""
-_WORTH = 0.7
-"""The share of the squares up to which the best size leaves is worth placing."""
+FROM_AFAR = 0.3
+"""The share of the squares that the best size must explain where a fit has far to go."""
 
 
 def place_cutting_effects(
-    task: EnsembleTask, at: Fits, effects: Sequence[str], scales: Scales
+    task: EnsembleTask, at: Fits, effects: Sequence[str], scales: Scales, share: float
 ) -> tuple[Fits, tuple[str, ...]]:
     """Return the fit `at` (an ensemble of one) with those of the `effects` free, at their best
-    sizes, that explain much by cutting pushes short; and which they are."""
+    sizes, that explain more than a `share` of the squares by cutting pushes short; and which they
+    are."""
     found: list[str] = []
     for effect in effects:
         if effect in CUTTING:
-            new = _place_best_size(task, at, effect, scales)
+            new = _place_best_size(task, at, effect, scales, share)
             found += [effect] if new is not at else []
             at = new
     return at, tuple(found)
 
 
-def _place_best_size(task: EnsembleTask, at: Fits, effect: str, scales: Scales) -> Fits:
+def _place_best_size(
+    task: EnsembleTask, at: Fits, effect: str, scales: Scales, share: float
+) -> Fits:
     coordinates = task.model.coordinates
     (i,) = coordinates.indices(numbers_of(effect))
     tried = [coordinates.point(value)[0] for value in list_starting_values(effect, scales)]
@@ -53,7 +56,7 @@ def _place_best_size(task: EnsembleTask, at: Fits, effect: str, scales: Scales) 
         if squares[1 + k] < least:
             least, best = squares[1 + k], sizes[k]
         low, high = float(sizes[max(k - 1, 0)]), float(sizes[min(k + 1, _SIZES - 1)])
-    if not least < _WORTH * squares[0]:
+    if not least < (1 - share) * squares[0]:
         return at
     c = at.c.copy()
     c[0, i] = best

@@ -33,6 +33,9 @@ _STEP = 0.1
 """Share of such a size by which an effect is moved to see what it changes."""
 _LONG_STEP = {"pusher_lag": 0.5}
 """The same of an effect that is not seen where it is shorter than an integrator's step."""
+_MOVED, _STEEP = 1e-3, 5.0
+"""The share of the largest change from which on a push changes, and how many times as much as most
+it may count."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +128,11 @@ def ask_at(task: EnsembleTask, at: Fits, points: NDArray):
 
 def measure_change(change: NDArray) -> NDArray:
     """Return the larger of the changes of F_p and d, each rms over the pushes, of changes
-    (m, n, 2); pushes without a d say nothing of d."""
+    (m, n, 2); pushes without a d say nothing of d, and one on the edge of being caught once more no
+    more than most."""
     there = np.isfinite(change)
-    squares = np.where(there, change, 0.0) ** 2
-    return np.sqrt(squares.sum(axis=1) / np.maximum(there.sum(axis=1), 1)).max(axis=1)
+    size = np.abs(np.where(there, change, 0.0))
+    moved = size > _MOVED * size.max(axis=1, keepdims=True)
+    usual = np.ma.median(np.ma.array(size, mask=~moved), axis=1, keepdims=True).filled(0.0)
+    size = np.where(moved, np.minimum(size, _STEEP * usual), 0.0)
+    return np.sqrt((size**2).sum(axis=1) / np.maximum(there.sum(axis=1), 1)).max(axis=1)
