@@ -33,7 +33,7 @@ COMMANDS = {
     "export": (SETUP, "--slowest-mm-min", 3000),
 }
 """Each on the examples; a path without a folder is below the other commands' outputs."""
-ELSEWHERE = {"diagnose", "init", "paper", "warm"}
+ELSEWHERE = {"diagnose", "init", "paper", "report-bug", "warm"}
 """The first two take long, and are looked at where they are run anyway, in test_procedure_tables.py
 and test_paper.py; to warm the store and to begin a set-up leaves no page."""
 ALARM = 3  # monitor's exit status where it raises one, as it does on the example

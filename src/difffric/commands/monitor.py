@@ -22,7 +22,6 @@ from difffric.commands.options import (
 )
 from difffric.commands.running.interruption import COMMAND
 from difffric.errors import InputError
-from difffric.rig.setup import refuse_recorded_motion
 
 
 def monitor(
@@ -56,7 +55,6 @@ def monitor(
     if follow and len(data) != 1:
         raise InputError(f"--follow: expected one .tdms, got {len(data)} files")
     known = read_setup_for(setup, channel)
-    refuse_recorded_motion(known, "monitor: follows pushes at constant speed")
     feed = df.monitoring.feed.Feed(known, arl=arl, state=state)
     with show_progress(quiet) as tell:
         if follow:

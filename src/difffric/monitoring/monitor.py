@@ -21,7 +21,7 @@ from difffric.monitoring.local_level import WANDER, Level
 from difffric.monitoring.readings import Reader
 from difffric.monitoring.records import Cell, PushRecord, digest_push, digest_recording
 from difffric.rig.rig import Rig
-from difffric.rig.setup import Setup, check_rig
+from difffric.rig.setup import Setup, check_rig, refuse_recorded_motion
 
 SCATTER = 0.015
 """Relative scatter of mu_s where the set-up says none: a scale only, as the spread is learnt."""
@@ -57,6 +57,7 @@ class Monitor:
     def __init__(self, setup: Setup | Rig, *, arl: float = 1000.0):
         setup = setup if isinstance(setup, Setup) else Setup(setup)
         check_rig(setup.rig)
+        refuse_recorded_motion(setup, "monitor: follows pushes at constant speed")
         if not (math.isfinite(arl) and arl >= LEAST_ARL):
             raise InputError(f"--arl: expected at least {LEAST_ARL:g} pushes, got {arl:g}")
         self.setup, self.arl = setup, float(arl)

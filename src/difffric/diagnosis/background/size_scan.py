@@ -20,6 +20,10 @@ CUTTING = ("pusher_duration",)
 """Effects that cut a push short."""
 _SIZES, _ROUNDS = 24, 4
 """Sizes that are tried at once, and how often, each time between the best one's neighbours."""
+_BEYOND = 1.02
+"""Times the longest way at the slowest speed, a time that cuts no push: the first that is tried."""
+_SAME = 1e-9
+"""Relative difference up to which squares are the same."""
 FROM_AFAR = 0.3
 """The share of the squares that the best size must explain where a fit has far to go."""
 
@@ -45,14 +49,16 @@ def _place_best_size(
     coordinates = task.model.coordinates
     (i,) = coordinates.indices(numbers_of(effect))
     tried = [coordinates.point(value)[0] for value in list_starting_values(effect, scales)]
-    low, high = min(tried), max(tried)
+    uncut = {numbers_of(effect)[0]: float(_BEYOND * scales.ways.max() / scales.slowest)}
+    low, high = coordinates.point(uncut)[0], max(tried)
     best, least = 0.0, np.inf
     for _ in range(_ROUNDS):
         sizes = np.geomspace(low, high, _SIZES)
         points = np.repeat(at.c, _SIZES + 1, axis=0)
         points[1:, i] = sizes
         squares = _sum_squares(task, at, points)
-        k = int(np.argmin(squares[1:]))
+        # Of sizes that cut nothing, the last: beyond it is the one that cuts a little.
+        k = int(np.flatnonzero(squares[1:] <= (1 + _SAME) * squares[1:].min())[-1])
         if squares[1 + k] < least:
             least, best = squares[1 + k], sizes[k]
         low, high = float(sizes[max(k - 1, 0)]), float(sizes[min(k + 1, _SIZES - 1)])
