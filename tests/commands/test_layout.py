@@ -71,6 +71,12 @@ def test_no_row_is_wider_than_the_terminal_and_every_number_is_whole(kinds, n, w
             assert all(x in said for x in column if x != "–")
 
 
+def test_a_long_text_leaves_room_for_numbers_in_every_block():
+    rows = [["a " * 30, *["a"] * 2, "1.0001e+05", *["a"] * 3]]
+    said = show([f"quantity {j} [mm/min]" for j in range(7)], rows, 62)
+    assert "1.0001e+05" in said and max(map(cell_len, said.splitlines())) <= 62
+
+
 def test_a_column_that_says_nothing_is_left_out_and_the_first_one_stays():
     rows = [["–", "1", "–", ""], ["", "2", "–", "x"]]
     assert leave_out_empty(("a", "b", "c", "d"), rows) == (

@@ -4,6 +4,7 @@ what is still too wide is continued below."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field
 
 from rich.box import SIMPLE_HEAD
@@ -119,7 +120,10 @@ def _split(columns: list[_Column], width: int) -> list[list[_Column]]:
         if len(blocks[-1]) > 1 and _measure([*blocks[-1], one]) > width:
             blocks.append([first])
         blocks[-1].append(one)
-    for block in blocks:  # texts that stand alone have more room
+    # Texts that stand alone have more room; the first column is in every block, as wide as each
+    # leaves it.
+    blocks = [[copy(one) for one in block] for block in blocks]
+    for block in blocks:
         for one in (x for x in block if x.wraps):
             one.width = max(8, min(one.longest, one.width + width - _measure(block)))
     return blocks
