@@ -24,6 +24,7 @@ from scipy.special import logsumexp
 from difffric.diagnosis.background.shape_columns import Shape, ShapeColumns, join_columns
 from difffric.diagnosis.background.small_effects import SmallEffects, step_off_null
 from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.rig.catalogue import numbers_of
 
 SHARES = np.array([0.03, 0.06, 0.12, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8])
 """Shares of their units by which background effects may scatter."""
@@ -243,27 +244,29 @@ class Evidence:
     def list_small_shapes(self, least: float) -> list[str]:
         """The effects whose shapes are placed and would have to grow by such a factor at `least`
         to have unit size."""
-        return [
-            item.effect
-            for item in self.items
-            if item.shape is not None and item.shape.placed and self.unit[item.columns[0]] > least
-        ]
+        placed = self.list_placed()
+        return [item.effect for item in placed if self.unit[item.columns[0]] > least]
+
+    def list_placed(self) -> list[PossibleCause]:
+        """The shapes that are in the model."""
+        return [item for item in self.items if item.shape is not None and item.shape.placed]
 
     def project_out_small(self) -> tuple[NDArray, NDArray, int]:
         """The information (C, C) on the columns of shapes and their products with the residuals
         (C,), the plain parameters free and all else with a background of unit size, and the number
         of the first of these columns."""
-        (state,) = self._make_states(self._scatters[[self._find_likeliest()]], np.array([1.0]))
+        (state,) = self._make_states(np.array([self.likeliest_scatter]), np.array([1.0]))
         p = len(self.small.index)
         known = state.M[:p, :p] + np.diag(self.unit[:p] ** -2.0)
         cross = np.linalg.solve(known, state.M[:p, p:])
         M = state.M[p:, p:] - state.M[p:, :p] @ cross
         return M * self.excess, (state.h[p:] - state.h[:p] @ cross) * self.excess, p
 
-    def _find_likeliest(self) -> int:
-        """The number of the scatter that is the most likely."""
+    @property
+    def likeliest_scatter(self) -> float:
+        """The scatter of mu_s that is the most likely."""
         costs = np.array([state.cost for state in self._states]) - 2 * self._log_prior
-        return int(np.argmin(costs)) // len(self._shares)
+        return float(self._scatters[int(np.argmin(costs)) // len(self._shares)])
 
     def list_states(self, items: Sequence[PossibleCause]) -> list[tuple[BackgroundState, float]]:
         """The states with the `items` as causes, normal about zero here too, and the log
@@ -317,6 +320,18 @@ def _list_items(small: SmallEffects, shapes: ShapeColumns | None) -> list[Possib
     return items
 
 
+def list_known(
+    task: EnsembleTask, at: Fits, small: SmallEffects, placed: Sequence[str]
+) -> list[int]:
+    """List the coordinates that are known to be in the model, in the order of their columns: the
+    plain ones, and what `at` has free besides small effects and the shapes `placed`."""
+    held = {
+        *small.index,
+        *task.model.coordinates.indices([n for e in placed for n in numbers_of(e)]),
+    }
+    return [*task.shared, *(i for i in at.extra[0] if i not in held)]
+
+
 def _collect_rows(
     task: EnsembleTask, at: Fits, small: SmallEffects, shapes: ShapeColumns | None
 ) -> tuple[NDArray, NDArray]:
@@ -324,12 +339,8 @@ def _collect_rows(
     small effects, and what would be left without the small effects and the placed shapes; and that
     of the push's own mu_s (n, R)."""
     n, C = task.n, task.conditions
-    placed = {} if shapes is None else {s.effect for s in shapes.shapes if s.placed}
-    names = task.model.coordinates.names
-    others = [
-        i for i in at.extra[0] if i not in small.index and names[i].partition(".")[0] not in placed
-    ]
-    free = [*task.shared, *others, *small.index]
+    placed = () if shapes is None else [s.effect for s in shapes.shapes if s.placed]
+    free = [*list_known(task, at, small, placed), *small.index]
     directions = np.zeros((1 + len(free), at.c.shape[1]))
     directions[0, 0] = float(task.mu_free)
     directions[np.arange(1, len(directions)), free] = 1.0

@@ -15,7 +15,8 @@ from difffric.diagnosis.background.cause_sets import (
     score_set,
 )
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
-from difffric.diagnosis.background.search import BackgroundSearch, put_shape, put_small
+from difffric.diagnosis.background.placement import put_shape, put_small
+from difffric.diagnosis.background.search import BackgroundSearch
 from difffric.diagnosis.conclusion import ALIKE
 from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.score_test import count_looks

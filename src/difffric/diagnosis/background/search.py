@@ -26,6 +26,7 @@ from difffric.diagnosis.background.joint_fit import (
     fit_jointly,
     measure_left,
 )
+from difffric.diagnosis.background.placement import place_shapes, predict_start, put_small
 from difffric.diagnosis.background.shape_columns import (
     Shape,
     compute_columns,
@@ -47,8 +48,8 @@ MOST_EXCESS = 1.5
 trusted."""
 _SHAPES_FITTED, _OF_EACH = 6, 2
 """Shapes from which a fit is begun where they leave more, and of each effect."""
-_MOST_SHAPED = 6
-"""How often effects with a shape are added."""
+_MOST_SHAPED = 8
+"""How often effects with a shape are added, or moved."""
 ARRIVED = 1.1
 """Squares per number from which on a fit that leaves more may have shapes at wrong places."""
 _SMALL = 0.3
@@ -134,7 +135,8 @@ class _JointSearch:
             return False
         # What one effect does, small ones together may nearly do: begin without them, too.
         bases = (self.joint, self._forget_small())
-        starts = [_place(task, at, one.items, one.sizes) for at in bases for one in first]
+        starts = [place_shapes(task, at, one.items, one.sizes) for at in bases for one in first]
+        starts += [predict_start(evidence, one.items) for one in first]
         some = choose_subset(task) if task.model.recordings else None
         fits = ensemble_refits.refit(task, ensemble.join(*starts), _FIRST_ROUNDS, some)
         leaders = np.argsort(ensemble.criterion(task, fits))[:_LEADERS]
@@ -173,19 +175,52 @@ class _JointSearch:
         self.joint, self.shaped = found
         return True
 
+    def move_shape(self, evidence: Evidence) -> bool:
+        """Place one of the shapes elsewhere, which stands at a wrong place; whether that is
+        better."""
+        task = self.small.assume(self.data.task, WIDE)
+        starts, prices = [], []
+        for effect in (x for x in self.shaped if x not in CUTTING):
+            bare, shaped = self._take_out([effect])
+            shapes = list_placed(task, bare, shaped)
+            around = list_shapes(task, [effect], self.data.scales)
+            for _ in range(2):  # those of the grid, then those near the best one
+                there = self._compare_shapes(bare, [*shapes, *around])
+                found = pursue_shapes(there, 1)
+                around = list_nearby([item.shape for item in found.items if item.shape])
+            if found.items:
+                starts.append(predict_start(there, found.items))
+                prices.append(compute_price(there, found.items))
+        if not starts:
+            return False
+        fits = ensemble_refits.refit(task, ensemble.join(*starts), _ROUNDS, tol=ROUGHLY)
+        best = int(np.argmin(ensemble.criterion(task, fits)))
+        gain = ensemble.criterion(task, self.joint)[0] - ensemble.criterion(task, fits)[best]
+        if gain < 2 * prices[best]:
+            return False
+        self.joint = fits.pick(best)
+        return True
+
+    def _take_out(self, effects: Sequence[str]) -> tuple[Fits, tuple[str, ...]]:
+        """Return the joint fit without the shapes of some effects, all else as it is, and the
+        effects whose shapes are still in it."""
+        index = self.data.task.model.coordinates.indices(
+            [name for effect in effects for name in numbers_of(effect)]
+        )
+        c = self.joint.c.copy()
+        c[0, index] = 0.0
+        extra = tuple(i for i in self.joint.extra[0] if i not in index)
+        bare = replace(self.joint, c=c, extra=(extra,), gram=None, residual=None, damping=None)
+        shaped = tuple(effect for effect in self.shaped if effect not in effects)
+        return ensemble.evaluate(self.small.assume(self.data.task, WIDE), bare), shaped
+
     def place_shapes_anew(self, evidence: Evidence) -> bool:
         """Place all small shapes anew, of which one may stand at a wrong place; whether that is
         better."""
         small = evidence.list_small_shapes(_SMALL)
         if not small:
             return False
-        index = self.data.task.model.coordinates.indices([n for e in small for n in numbers_of(e)])
-        c = self.joint.c.copy()
-        c[0, index] = 0.0
-        extra = tuple(i for i in self.joint.extra[0] if i not in index)
-        bare = replace(self.joint, c=c, extra=(extra,), gram=None, residual=None, damping=None)
-        shaped = tuple(effect for effect in self.shaped if effect not in small)
-        bare = ensemble.evaluate(self.small.assume(self.data.task, WIDE), bare)
+        bare, shaped = self._take_out(small)
         found = self._place_beside(bare, shaped, self._weigh_at(bare, shaped))
         if found is None:
             return False
@@ -209,7 +244,7 @@ class _JointSearch:
             found = pursue_shapes(evidence, most)
             if len(found.items) < most:
                 continue
-            start = _place(task, at, found.items, found.sizes)
+            start = predict_start(evidence, found.items)
             fits = ensemble_refits.refit(task, start, _ROUNDS, tol=ROUGHLY)
             gain = before - float(ensemble.criterion(task, fits)[0])
             if gain > 2 * compute_price(evidence, found.items):
@@ -230,7 +265,7 @@ class _JointSearch:
         self, evidence: Evidence, items: Sequence[PossibleCause], sizes: Sequence[float]
     ) -> None:
         """Fit anew with a set of causes at any size."""
-        start = _place(self.data.task, self.joint, items, sizes)
+        start = place_shapes(self.data.task, self.joint, items, sizes)
         first = 0
         for item in items:
             if item.shape is None:  # where it is now is where its smallness held it
@@ -274,13 +309,11 @@ def search_background(
     search = _JointSearch(data, effects, background, small, plain, joint, cutting)
     evidence = search.weigh()
     for _ in range(_MOST_SHAPED):
-        ways = [search.place_shapes, search.place_shapes_anew]
-        if measure_left(data.task, search.joint) < ARRIVED:
-            ways = ways[:1]
+        ways = [search.place_shapes]
         if evidence.excess > MOST_EXCESS:
-            ways = [search.add_shape]
+            ways = [search.add_shape, search.place_shapes]
         if measure_left(data.task, search.joint) > ARRIVED:
-            ways = [search.place_cuts, *ways]
+            ways = [search.place_cuts, *ways, search.move_shape, search.place_shapes_anew]
         if not any(place(evidence) for place in ways):
             break
         evidence = search.weigh()
@@ -320,39 +353,3 @@ def fit_beside_background(
         sizes = found.evidence.compare([columns]).best_size(0).tolist() if items else []
         search.free(found.evidence, items, sizes)
     return free_causes(data.task, found.small, found.evidence, items), search.joint
-
-
-def _place(
-    task: EnsembleTask, at: Fits, items: Sequence[PossibleCause], sizes: Sequence[float]
-) -> Fits:
-    """Return the fit `at` with the shapes of a set of causes placed and free."""
-    c, extra = at.c.copy(), list(at.extra[0])
-    start = 0
-    for item in items:
-        own_sizes = sizes[start : start + len(item.columns)]
-        start += len(item.columns)
-        if item.shape is not None and not item.shape.placed:
-            put_shape(c, item, own_sizes)
-            own = task.model.coordinates.indices(numbers_of(item.effect))
-            extra += [i for i in own if i not in extra]
-    return replace(at, c=c, extra=(tuple(extra),), gram=None, residual=None, damping=None)
-
-
-def put_small(
-    c: np.ndarray, task: EnsembleTask, small: SmallEffects, item: PossibleCause, size: float
-) -> None:
-    """Put an effect without a shape, of this size, into coordinates c (1, K), within its bounds."""
-    i = small.index[item.columns[0]]
-    c[0, i] = np.clip(small.null[i] + size, *ensemble.bounds(task, i))
-
-
-def put_shape(c: np.ndarray, item: PossibleCause, sizes: Sequence[float]) -> None:
-    """Put a shape, its columns of these sizes, into coordinates c (1, K)."""
-    assert item.shape is not None
-    for point in item.shape.points:
-        for i, value in point.items():
-            c[0, i] = value
-    if item.shape.typical < 1.0:  # of a shape with an amplitude, the columns are that
-        for point, size in zip(item.shape.points, sizes, strict=True):
-            i = next(i for i, value in point.items() if value != 0.0)
-            c[0, i] = point[i] * size / item.shape.amplitude

@@ -1,9 +1,9 @@
 """Which shapes, one of each effect, explain best what small effects leave: one after the other.
 
 The small effects scatter about their nulls, and the plain parameters are free; what is left is
-explained by the shape that takes up most of it, then by the next beside it, of another effect
-(Mallat and Zhang, Matching pursuits with time-frequency dictionaries, IEEE Trans. Signal Process.
-41, 1993, with all sizes found anew at each step).
+explained by the shape that takes up most of it, beside those that are placed already, then by the
+next beside it, of another effect (Mallat and Zhang, Matching pursuits with time-frequency
+dictionaries, IEEE Trans. Signal Process. 41, 1993, with all sizes found anew at each step).
 """
 
 from __future__ import annotations
@@ -30,9 +30,10 @@ def pursue_shapes(evidence: Evidence, most: int) -> PursuedShapes:
     their prices and whose sizes make sense."""
     M, h, first = evidence.project_out_small()
     shaped = [x for x in evidence.items if x.shape is not None and not x.shape.placed]
+    placed = [c - first for item in evidence.list_placed() for c in item.columns]
     chosen: list[PossibleCause] = []
     for _ in range(most):
-        there = [c - first for item in chosen for c in item.columns]
+        there = placed + [c - first for item in chosen for c in item.columns]
         best: tuple[float, PossibleCause] | None = None
         for item in shaped:
             if any(item.effect == other.effect for other in chosen):
@@ -44,9 +45,9 @@ def pursue_shapes(evidence: Evidence, most: int) -> PursuedShapes:
         if best is None:
             break
         chosen.append(best[1])
-    there = [c - first for item in chosen for c in item.columns]
+    there = placed + [c - first for item in chosen for c in item.columns]
     sizes = -np.linalg.solve(M[np.ix_(there, there)], h[there]) if there else np.zeros(0)
-    return PursuedShapes(tuple(chosen), tuple(sizes.tolist()))
+    return PursuedShapes(tuple(chosen), tuple(sizes[len(placed) :].tolist()))
 
 
 def _add(M: NDArray, h: NDArray, there: list[int], mine: list[int]) -> tuple[float, NDArray]:
