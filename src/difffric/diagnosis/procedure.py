@@ -267,7 +267,7 @@ class _CauseSearch(CauseRounds):
         found = search_background(data, self.plain, self.start.guess, small, self.matters > 0)
         items, p_values = keep_significant(found.evidence, found.best, SIGNIFICANT)
         if self.matters > 0:
-            outstanding = list_outstanding(found.evidence, items, SIGNIFICANT)
+            outstanding = list_outstanding(found.evidence, items)
             self.usual = frozenset(item.effect for item in items) - outstanding
         self.scores = run_score_tests(task, self.plain, small)
         self.visible |= {effect: score.visible for effect, score in self.scores.items()}

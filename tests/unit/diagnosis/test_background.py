@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from difffric.diagnosis.background import cause_sets, evidence
+from difffric.diagnosis.background import cause_sets, evidence, naming
 from difffric.diagnosis.background.evidence import Evidence
 from difffric.diagnosis.background.friction_estimate import estimate_friction
 from difffric.diagnosis.background.shape_columns import Shape, ShapeColumns, list_nearby
@@ -89,7 +89,9 @@ def test_a_cause_stands_out_and_is_alone_in_the_best_set():
     found = weigh(draw(cause=3.0, background=0.03)[0])
     best = cause_sets.search_sets(found, found.items)[0]
     assert best.effects == {"tilt"}
-    assert found.compute_log_p_values(best.items)[0] < np.log(1e-5)
+    assert found.compute_log_p_values(best.items, 0.0)[0] < np.log(1e-5)
+    kept, p_values = naming.keep_significant(found, best, 1e-3)
+    assert kept == best.items and p_values[0] < 1e-3
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -98,7 +100,9 @@ def test_a_background_alone_has_no_cause(seed):
     usual = found.compute_log_p_values(found.items[:1], least_share=0.7)
     assert usual[0] > np.log(1e-3)
     # A wider background never makes a cause surer.
-    assert usual[0] >= found.compute_log_p_values(found.items[:1])[0] - 1e-9
+    least = found.compute_log_p_values(found.items[:1], least_share=0.0)
+    assert usual[0] >= least[0] - 1e-9
+    assert least[0] >= found.compute_log_p_values(found.items[:1])[0] - 1e-9
 
 
 def make_shapes(seed: int, number: int) -> ShapeColumns:

@@ -277,20 +277,21 @@ class Evidence:
         return list(zip(states, logs.tolist(), strict=True))
 
     def compute_log_p_values(
-        self, items: Sequence[PossibleCause], least_share: float = 0.0
+        self, items: Sequence[PossibleCause], least_share: float | None = None
     ) -> list[float]:
-        """The logarithm of the probability, for each item of a set, that noise and background make
-        it so large; the background scatters by `least_share` of its units at least."""
+        """The logarithm of the probability, for each item of a set, that noise makes it so large;
+        with a `least_share`, that noise and a background do that scatters as the evidence says, and
+        by that share of its units at least."""
         found = self.compare([[c for item in items for c in item.columns]])
         out, start = [], 0
         for item in items:
             mine = slice(start, start + len(item.columns))
             start += len(item.columns)
             V = found.covariance[:, 0, mine, mine]
-            least = (least_share * self.unit[list(item.columns)]) ** 2
-            V = V + np.maximum(found.background[:, 0, mine], least)[:, :, None] * np.eye(
-                len(item.columns)
-            )
+            if least_share is not None:
+                least = (least_share * self.unit[list(item.columns)]) ** 2
+                variance = np.maximum(found.background[:, 0, mine], least)
+                V = V + variance[:, :, None] * np.eye(len(item.columns))
             size = found.size[:, 0, mine]
             drop = np.einsum("si,si->s", size, np.linalg.solve(V, size[:, :, None])[:, :, 0])
             tail = scipy.stats.chi2.logsf(drop, len(item.columns))

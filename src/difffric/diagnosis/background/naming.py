@@ -27,6 +27,9 @@ from difffric.rig.catalogue import numbers_of
 USUAL_SHARE = 0.4
 """Share of their units by which the small effects of a usual rig scatter: 0.2 % of F_p or d each.
 What stays within that is none that matters, however well it is seen."""
+UNUSUAL = 0.05
+"""A cause is one of the background where any effect of it is as large with this probability: what
+noise alone makes has to be much less probable, as one looks at clean rigs again and again."""
 _ROUNDS = 12
 """Steps at most of the fit with the causes alone."""
 _CONSIDERED = 3
@@ -38,32 +41,43 @@ _FEW_ROUNDS = 4
 def keep_significant(
     evidence: Evidence, best: CauseSet, significant: float
 ) -> tuple[tuple[PossibleCause, ...], list[float]]:
-    """Return those causes of a set that noise and background hardly make so large, and the
+    """Return those causes of a set that noise hardly makes so large, nor the background, and the
     probabilities that they do; the least sure one is left out first."""
     items = list(best.items)
     while items:
-        log = evidence.compute_log_p_values(items)
-        p_values = [
-            float(np.exp(min(x + np.log(count_looks(item.effect, evidence.effects)), 0.0)))
-            for x, item in zip(log, items, strict=True)
+        by_noise = [
+            x + np.log(count_looks(item.effect, evidence.effects))
+            for x, item in zip(evidence.compute_log_p_values(items), items, strict=True)
         ]
-        worst = int(np.argmax(p_values))
-        if p_values[worst] < significant:
-            return tuple(items), p_values
+        by_background = compute_log_background_p_values(evidence, items, 0.0)
+        unsure = [
+            max(a - np.log(significant), b - np.log(UNUSUAL))
+            for a, b in zip(by_noise, by_background, strict=True)
+        ]
+        worst = int(np.argmax(unsure))
+        if unsure[worst] < 0:
+            both = map(max, by_noise, by_background)
+            return tuple(items), [float(np.exp(min(x, 0.0))) for x in both]
         items.pop(worst)
     return (), []
 
 
-def list_outstanding(
-    evidence: Evidence, items: Sequence[PossibleCause], significant: float
-) -> frozenset[str]:
+def list_outstanding(evidence: Evidence, items: Sequence[PossibleCause]) -> frozenset[str]:
     """List those of the causes that are larger than a usual background would make them, too."""
-    log = evidence.compute_log_p_values(items, USUAL_SHARE) if items else []
-    return frozenset(
-        item.effect
-        for item, x in zip(items, log, strict=True)
-        if x + np.log(count_looks(item.effect, evidence.effects)) < np.log(significant)
-    )
+    log = compute_log_background_p_values(evidence, items, USUAL_SHARE)
+    return frozenset(item.effect for item, x in zip(items, log, strict=True) if x < np.log(UNUSUAL))
+
+
+def compute_log_background_p_values(
+    evidence: Evidence, items: Sequence[PossibleCause], least_share: float
+) -> list[float]:
+    """Return the logarithm of the probability, for each cause, that any effect of a background is
+    so large, which scatters by the `least_share` of its units at least. An effect has one shape in
+    it, wherever that was looked for."""
+    if not items:
+        return []
+    log = evidence.compute_log_p_values(items, least_share)
+    return [x + float(np.log(evidence.effects)) for x in log]
 
 
 def compare_rivals(
@@ -170,7 +184,7 @@ def fit_singles(task: EnsembleTask, plain: Fits, search: BackgroundSearch) -> li
     out = []
     for j, (item, one) in enumerate(found):
         price = 2 * compute_price(search.first, [item])
-        (log,) = search.first.compute_log_p_values([item])
+        (log,) = search.first.compute_log_p_values([item], 0.0)
         p_value = float(
             np.exp(min(log + np.log(count_looks(item.effect, search.first.effects)), 0.0))
         )
