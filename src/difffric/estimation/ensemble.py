@@ -25,14 +25,12 @@ REJECTED = 1e12
 _LEAST_DIAGONAL = 1e-9
 """A diagonal of the normal equations up to this says that nothing depends on the parameter."""
 _RIDGE = 1e-13
-"""What is added to a unit diagonal, so that equations that are singular but for rounding have a
-solution."""
+"""What is added to a unit diagonal, so that singular equations have a solution."""
 
 
 @dataclass(frozen=True)
 class EnsembleTask:
-    """What all fits of an ensemble have in common: the data, the parameters that are free in every
-    fit, and what is known of the noise."""
+    """What all fits of an ensemble have in common: the data, what is free, what noise there is."""
 
     model: ExtendedModel
     shared: tuple[int, ...]
@@ -378,7 +376,9 @@ def covariance(task: EnsembleTask, fits: Fits) -> NDArray:
     held = _find_at_bound(task, fits, H.shape[1])
     held = held[:, :, None] | held[:, None, :]
     A, scale = _scale(np.where(held, 0.0, H))
-    return np.where(held, 0.0, np.linalg.inv(A) / (scale[:, :, None] * scale[:, None, :]))
+    w, V = np.linalg.eigh(A)  # by rounding alone some may be negative: nothing is known along them
+    V = V / scale[:, :, None]
+    return np.where(held, 0.0, (V / np.maximum(w, _RIDGE)[:, None, :]) @ np.swapaxes(V, 1, 2))
 
 
 def bounds(task: EnsembleTask, i: int) -> tuple[float, float]:

@@ -192,6 +192,21 @@ def test_errors_of_mu_s_are_those_of_the_dense_normal_distribution():
     assert compute_friction_errors(task, at) == pytest.approx(errors, rel=1e-6)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_what_cannot_be_told_from_mu_s_has_a_large_error_and_no_negative_variance(seed):
+    """Rounding makes information matrices of such data indefinite."""
+    task, slopes, measured = draw(cause=0.0, seed=seed)
+    rng = np.random.default_rng(seed)
+    slopes = slopes * 1e4
+    for k in (2, 3, 4):
+        slopes[:, :, k] = slopes[:, :, 0] * (1 + 1e-15 * rng.normal(size=(N, 2)))
+    task = make_task(slopes, measured, ("k", *NAMES), shared=(1,))
+    at = ensemble.evaluate(task, replace(start(task, 0.3), extra=((2, 3, 4, 5),)))
+    variance = np.diagonal(ensemble.covariance(task, at)[0])
+    assert (variance > 0).all()
+    assert (compute_friction_errors(task, at) > 10.0).all()
+
+
 @pytest.mark.parametrize("causes", [[], [0]])
 def test_mu_s_averaged_over_a_background_is_as_the_dense_normal_distribution_says(causes):
     task, slopes, measured = draw(cause=1.0, background=0.2, seed=4)

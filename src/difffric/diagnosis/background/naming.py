@@ -27,7 +27,7 @@ from difffric.rig.catalogue import numbers_of
 USUAL_SHARE = 0.4
 """Share of their units by which the small effects of a usual rig scatter: 0.2 % of F_p or d each.
 What stays within that is none that matters, however well it is seen."""
-UNUSUAL = 0.05
+UNUSUAL = 0.01
 """A cause is one of the background where any effect of it is as large with this probability: what
 noise alone makes has to be much less probable, as one looks at clean rigs again and again."""
 _ROUNDS = 12
