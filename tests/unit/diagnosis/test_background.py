@@ -4,13 +4,14 @@ the dense normal distribution says."""
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from difffric.diagnosis.background import cause_sets, evidence, naming
+from difffric.diagnosis.background import cause_sets, evidence, naming, small_effects
 from difffric.diagnosis.background.evidence import Evidence
 from difffric.diagnosis.background.friction_estimate import estimate_friction
 from difffric.diagnosis.background.shape_columns import Shape, ShapeColumns, list_nearby
@@ -18,7 +19,7 @@ from difffric.diagnosis.background.shape_pursuit import pursue_shapes
 from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.diagnosis.inferred.friction import compute_friction_errors
 from difffric.estimation import ensemble, ensemble_refits
-from tests.unit.diagnosis.linear_rig import make_task, start
+from tests.unit.diagnosis.linear_rig import LinearModel, make_task, start
 
 N, EFFECTS = 12, ("tilt", "force_gain", "force_offset", "probe_scale", "initial_gap")
 NAMES = tuple(f"{effect}.x" for effect in EFFECTS)
@@ -103,6 +104,38 @@ def test_a_background_alone_has_no_cause(seed):
     least = found.compute_log_p_values(found.items[:1], least_share=0.0)
     assert usual[0] >= least[0] - 1e-9
     assert least[0] >= found.compute_log_p_values(found.items[:1])[0] - 1e-9
+
+
+class _JumpingRig(LinearModel):
+    """The d of the first push jumps by a hundred times where the tilt is more than a little."""
+
+    edge = 0.05
+
+    def answers(self, index, c, directions, keep_rows=False):
+        found = super().answers(index, c, directions, keep_rows)
+        jumps = (np.asarray(index) == 0) & (c[:, 1] > self.edge)
+        model = np.array(found.model)
+        model[jumps, 1] *= 100.0
+        return SimpleNamespace(model=model)
+
+
+def test_a_push_on_an_edge_does_not_say_how_large_a_unit_is():
+    rng = np.random.default_rng(0)
+    slopes = np.concatenate(
+        [np.ones((N, 2, 1)), rng.uniform(0.5, 1.5, size=(N, 2, 1)), np.zeros((N, 2, 1))], axis=2
+    )
+    names = ("tilt.alpha_rad", "force_gain.factor")
+    units = []
+    for model in (LinearModel, _JumpingRig):
+        task = make_task(slopes, np.ones((N, 2)), names)
+        task = replace(task, model=model(slopes, np.ones((N, 2)), names, exponential=True))
+        at = start(task, 0.05)
+        small = small_effects.choose_small_effects(task, at, ("tilt", "force_gain"))
+        units.append(small.unit)
+    assert units[1] == pytest.approx(units[0], rel=1e-9)
+    assert units[0][0] == pytest.approx(
+        small_effects.UNIT_CHANGE / np.sqrt((slopes[:, :, 1] ** 2).mean(axis=0)).max(), rel=1e-9
+    )
 
 
 def make_shapes(seed: int, number: int) -> ShapeColumns:

@@ -29,8 +29,8 @@ _LARGEST = 2.0
 _FARTHEST, _UNSEEN_FARTHEST = 2.0, 5.0
 """Times a size that one may meet, beyond which an effect is not small; and one that changes neither
 F_p nor d, of which nobody knows."""
-_STEP = 0.1
-"""Share of such a size by which an effect is moved to see what it changes."""
+_STEPS = 0.1, 0.01
+"""Shares of such a size by which an effect is moved to see what it changes."""
 _LONG_STEP = {"pusher_lag": 0.5}
 """The same of an effect that is not seen where it is shorter than an integrator's step."""
 _MOVED, _STEEP = 1e-3, 5.0
@@ -98,13 +98,25 @@ def choose_small_effects(task: EnsembleTask, at: Fits, effects: Sequence[str]) -
             chosen.append(effect)
             index.append(own[0])
     typical = np.array([_RATIO_TYPICAL if effect == RATIO else 1.0 for effect in chosen])
-    step = typical * np.array([_LONG_STEP.get(effect, _STEP) for effect in chosen])
-    points = np.repeat(at.c, len(index), axis=0)
-    points[np.arange(len(index)), index] += step
-    change = measure_change(observe_points(task, at, points)) / step
+    change = measure_change(_measure_slopes(task, at, chosen, index, typical))
     unit = np.minimum(_LARGEST * typical, UNIT_CHANGE / np.maximum(change, 1e-12))
     start = step_off_null(task, at, index)[0]
     return SmallEffects(tuple(chosen), tuple(index), unit, typical, at.c[0].copy(), start)
+
+
+def _measure_slopes(
+    task: EnsembleTask, at: Fits, effects: Sequence[str], index: Sequence[int], typical: NDArray
+) -> NDArray:
+    """The relative changes (p, n, 2) of F_p and d of each push by a unit of each coordinate, by a
+    step and by a shorter one: a push on an edge, to be caught once more, jumps by one of them, and
+    the smaller change is taken."""
+    slopes = []
+    for length in _STEPS:
+        step = typical * np.array([_LONG_STEP.get(effect, length) for effect in effects])
+        points = np.repeat(at.c, len(index), axis=0)
+        points[np.arange(len(index)), index] += step
+        slopes.append(np.abs(observe_points(task, at, points)) / step[:, None, None])
+    return np.fmin(*slopes)
 
 
 def observe_points(task: EnsembleTask, at: Fits, points: NDArray) -> NDArray:
