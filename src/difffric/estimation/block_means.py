@@ -43,9 +43,9 @@ LONGEST = 1e-3
 _FASTEST = 0.4
 """Radians of the contact's own oscillation that an uneven block lasts at most: two points then
 give the model's mean over it to 1e-5 of its swing."""
-_ROOM = 512
-"""Uneven blocks are padded to this, or to twice, four times as many: few shapes, few
-compilations."""
+_ROOM = 1024
+"""Uneven blocks are padded to this, or to twice, four times as many: nearly all recordings then
+share one shape and one program."""
 
 
 @dataclass(frozen=True)

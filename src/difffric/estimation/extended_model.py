@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.compute import pytrees
-from difffric.compute.xla_options import compile_soon
+from difffric.compute.xla_options import compile_quickly, compile_soon
 from difffric.estimation.block_means import UnevenBlocks
-from difffric.estimation.effect_coordinates import Coordinates
+from difffric.estimation.effect_coordinates import FORMED, Coordinates
 from difffric.estimation.following.answer_in_columns import answer_in_columns
 from difffric.estimation.following.push_answer import AnswerRows, PushAnswer
 from difffric.estimation.following.thread_pool import map_in_threads
@@ -222,8 +222,7 @@ def _read_in_chunks(paths: Any, force: UnevenBlocks, position: UnevenBlocks) -> 
     return jax.lax.while_loop(lambda carry: carry[0] <= last, turn, (0, *blank))[1:]
 
 
-@compile_soon
-def _answer(
+def _answer_any(
     coordinates: tuple,
     kind: str,
     steps: int,
@@ -235,6 +234,12 @@ def _answer(
     """The answers for B pushes of one kind; `coordinates` are the fields of `Coordinates`."""
     answer = {RECORDINGS: _answer_recordings, TABLE: _answer_table, SLIDES: _answer_slides}[kind]
     return answer(Coordinates(*coordinates), rig, pushes, c, directions, steps)
+
+
+_answer = compile_soon(_answer_any)
+_answer_seldom = compile_quickly(_answer_any)
+"""The same for a rig with free forms, whose program is four times as large and is asked some dozen
+times: it was compiled for a minute to run for a second."""
 
 
 @dataclass(frozen=True)
@@ -296,8 +301,14 @@ class ExtendedModel:
         """The compiled program for these data."""
         at = self.coordinates
         given = ((at.names, at.null, at.unit), self.kind, self.steps)
-        _answer.prepare(*given, *self._make_example())
-        return partial(_answer, *given)
+        answer = _answer_seldom if self._has_forms else _answer
+        answer.prepare(*given, *self._make_example())
+        return partial(answer, *given)
+
+    @property
+    def _has_forms(self) -> bool:
+        """Whether free forms are among the coordinates."""
+        return not set(FORMED).isdisjoint(self.coordinates.names)
 
     @property
     def _batch(self) -> int:
@@ -348,7 +359,7 @@ class ExtendedModel:
     def _answers(
         self, index: NDArray, c: NDArray, directions: NDArray, keep_rows: bool
     ) -> PushAnswer:
-        if not directions.shape[1] and self.directions:
+        if not directions.shape[1] and self.directions and not self._has_forms:
             return self._valued._answers(index, c, directions, keep_rows)
         # A batch goes on for as long as its longest push: alike ones together.
         N, size = len(c), self._batch

@@ -36,7 +36,11 @@ from difffric.diagnosis.background.shape_columns import (
 )
 from difffric.diagnosis.background.shape_pursuit import pursue_shapes
 from difffric.diagnosis.background.size_scan import CUTTING, place_cutting_effects
-from difffric.diagnosis.background.small_effects import SmallEffects, choose_small_effects
+from difffric.diagnosis.background.small_effects import (
+    SmallEffects,
+    choose_small_effects,
+    measure_units,
+)
 from difffric.diagnosis.data import DiagnosisData, choose_subset
 from difffric.diagnosis.score_test import SIGNIFICANT, count_looks
 from difffric.estimation import ensemble, ensemble_refits
@@ -317,6 +321,9 @@ def search_background(
         if not any(place(evidence) for place in ways):
             break
         evidence = search.weigh()
+    # The plain fit may be far from here, and what is small there need not be so here.
+    search.small = small = measure_units(data.task, search.joint, small)
+    evidence = search.weigh()
     sets = search_sets(evidence, evidence.items)
     singles = [one for one in sets if len(one.items) == 1]
     first = evidence

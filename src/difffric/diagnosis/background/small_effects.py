@@ -98,25 +98,27 @@ def choose_small_effects(task: EnsembleTask, at: Fits, effects: Sequence[str]) -
             chosen.append(effect)
             index.append(own[0])
     typical = np.array([_RATIO_TYPICAL if effect == RATIO else 1.0 for effect in chosen])
-    change = measure_change(_measure_slopes(task, at, chosen, index, typical))
-    unit = np.minimum(_LARGEST * typical, UNIT_CHANGE / np.maximum(change, 1e-12))
     start = step_off_null(task, at, index)[0]
-    return SmallEffects(tuple(chosen), tuple(index), unit, typical, at.c[0].copy(), start)
+    unknown = np.zeros(len(index))
+    small = SmallEffects(tuple(chosen), tuple(index), unknown, typical, at.c[0].copy(), start)
+    return measure_units(task, at, small)
 
 
-def _measure_slopes(
-    task: EnsembleTask, at: Fits, effects: Sequence[str], index: Sequence[int], typical: NDArray
-) -> NDArray:
-    """The relative changes (p, n, 2) of F_p and d of each push by a unit of each coordinate, by a
-    step and by a shorter one: a push on an edge, to be caught once more, jumps by one of them, and
-    the smaller change is taken."""
-    slopes = []
+def measure_units(task: EnsembleTask, at: Fits, small: SmallEffects) -> SmallEffects:
+    """Return the small effects with their units where the fit `at` (an ensemble of one) stands.
+
+    The change of each push is that by a step or by a shorter one, whichever is smaller by a unit:
+    a push on an edge, to be caught once more, jumps by one of them.
+    """
+    slopes, index = [], list(small.index)
     for length in _STEPS:
-        step = typical * np.array([_LONG_STEP.get(effect, length) for effect in effects])
+        step = small.typical * np.array([_LONG_STEP.get(x, length) for x in small.effects])
         points = np.repeat(at.c, len(index), axis=0)
         points[np.arange(len(index)), index] += step
         slopes.append(np.abs(observe_points(task, at, points)) / step[:, None, None])
-    return np.fmin(*slopes)
+    change = measure_change(np.fmin(*slopes))
+    unit = np.minimum(_LARGEST * small.typical, UNIT_CHANGE / np.maximum(change, 1e-12))
+    return replace(small, unit=unit)
 
 
 def observe_points(task: EnsembleTask, at: Fits, points: NDArray) -> NDArray:
