@@ -3,10 +3,12 @@ exact derivatives of what is written for numbers."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import count
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 _LEVELS = count(1)
 
@@ -145,3 +147,71 @@ def plain(x: Any) -> Any:
     while type(x) is Dual:
         x = x.value
     return x
+
+
+def are_simple(numbers: Sequence[Any]) -> bool:
+    """Whether `RowsOfDuals` serves what is computed from these: all of one level, none a dual
+    number of dual numbers."""
+    duals = [x for x in numbers if type(x) is Dual]
+    nested = any(type(x.value) is Dual or type(x.tangent) is Dual for x in duals)
+    return not nested and len({x.level for x in duals}) <= 1
+
+
+class RowsOfDuals:
+    """Up to `most` numbers, one after the other, in the shape that those of `like` have together.
+
+    Values stand in one array and derivatives in another, so that a weighted sum, which a
+    Runge-Kutta step asks for again and again, is one product of matrices.
+    """
+
+    def __init__(self, like: Sequence[Any], most: int):
+        self.level, self.count = highest(like), 0
+        shape = np.broadcast_shapes(*(np.shape(plain(x)) for x in like))
+        self.values = np.empty((most, *shape))
+        self.tangents = None
+        if self.level:
+            tangents = (np.shape(split(x, self.level)[1]) for x in like if type(x) is Dual)
+            self.tangents = np.empty((most, *np.broadcast_shapes(shape, *tangents)))
+
+    def append(self, row: Any) -> None:
+        """Put a number behind those that are there."""
+        value, tangent = split(row, self.level)
+        self.values[self.count] = value
+        if self.tangents is not None:
+            self.tangents[self.count] = 0.0 if tangent is None else tangent
+        self.count += 1
+
+    def weigh(self, weights: Sequence[float]) -> Any:
+        """The sum of the rows with these weights."""
+        value = self.weigh_values(weights)
+        if self.tangents is None:
+            return value
+        return Dual(value, _weigh(weights, self.tangents), self.level)
+
+    def weigh_values(self, weights: Sequence[float]) -> Any:
+        """The same of the values alone."""
+        return _weigh(weights, self.values)
+
+
+class ListedRows:
+    """The same for numbers of any kind, one after the other."""
+
+    def __init__(self, like: Sequence[Any], most: int):
+        self.rows: list[Any] = []
+
+    def append(self, row: Any) -> None:
+        """Put a number behind those that are there."""
+        self.rows.append(row)
+
+    def weigh(self, weights: Sequence[float]) -> Any:
+        """The sum of the rows with these weights."""
+        return sum(w * x for w, x in zip(weights, self.rows, strict=False) if w)
+
+    def weigh_values(self, weights: Sequence[float]) -> Any:
+        """The same of the values alone."""
+        return sum(w * plain(x) for w, x in zip(weights, self.rows, strict=False) if w)
+
+
+def _weigh(weights: Sequence[float], rows: NDArray) -> NDArray:
+    n = len(weights)
+    return (np.asarray(weights) @ rows[:n].reshape(n, -1)).reshape(rows.shape[1:])

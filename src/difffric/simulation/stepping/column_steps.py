@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.compute import arrays as xp
-from difffric.compute.dual_numbers import plain
+from difffric.compute.dual_numbers import ListedRows, RowsOfDuals, are_simple, plain
 from difffric.compute.lanes import pick_lanes, put_lanes, repeat_while, spread
 from difffric.compute.pytrees import map_tree
 from difffric.rig.rig import Rig
@@ -38,6 +38,10 @@ _SHORTEST = 1e-9
 once."""
 _EXACT, _TRIES = 1e-13, 60
 """An event's time is found to this share of its step; tries at most."""
+_SQUARED, _SHRINKS = 1e-7, 1e-2
+"""A step this short, as a share of the leg's, and of the one before it, is the last."""
+_GUESSES = 8
+"""Steps that a cubic's root is looked for with."""
 _NEAR = 0.1
 """A guard that dips to less than this share of what it has at a step's ends may have fallen."""
 _BEYOND = 0.02
@@ -138,23 +142,21 @@ def take_step(
 ) -> tuple[Any, Any, Any]:
     """(z, u, error) after one step of h [s] from a state whose x'' is `a`; a step's error may be
     1."""
-    ws, rates = [course.v_p - u], [a]
-
-    def weigh(weights: Any, column: list[Any]) -> Any:
-        return sum(w * x for w, x in zip(weights, column, strict=False) if w)
-
+    make_rows = RowsOfDuals if are_simple((z, u, a, h, course.v_p)) else ListedRows
+    ws, rates = (make_rows((z, u, a, h, course.v_p), len(STAGES) + 1) for _ in range(2))
+    ws.append(course.v_p - u)
+    rates.append(a)
     for row in STAGES:
-        z_i, u_i = z + h * weigh(row, ws), u + h * weigh(row, rates)
+        z_i, u_i = z + h * ws.weigh(row), u + h * rates.weigh(row)
         ws.append(course.v_p - u_i)
         rates.append(accelerate(course, z_i, u_i))
     error: Any = 0.0
-    for column, scale in ((ws, course.z_ref), (rates, course.u_ref)):
-        firm = [plain(x) for x in column]
-        e_5, e_3 = weigh(ERRORS_5, firm), weigh(ERRORS_3, firm)
+    for rows, scale in ((ws, course.z_ref), (rates, course.u_ref)):
+        e_5, e_3 = rows.weigh_values(ERRORS_5), rows.weigh_values(ERRORS_3)
         both = np.sqrt(e_5 * e_5 + 0.01 * e_3 * e_3)
         one = plain(h) * e_5 * e_5 / np.where(both > 0, both, 1.0)
         error = np.maximum(error, np.abs(one) / (scale * TOLERANCE))
-    return z + h * weigh(WEIGHTS, ws), u + h * weigh(WEIGHTS, rates), error
+    return z + h * ws.weigh(WEIGHTS), u + h * rates.weigh(WEIGHTS), error
 
 
 def follow_leg(mode: LegMode, course: LegCourse, z: Any, u: Any) -> LegEnd:
@@ -176,8 +178,10 @@ class _RootSearch(NamedTuple):
     t: Any
     lo: Any
     hi: Any
+    last: Any
+    """length of the last step [s]"""
     moves: Any
-    """whether the last step was worth taking"""
+    """whether the next one is worth taking"""
     count: Any
 
 
@@ -188,22 +192,46 @@ def find_root(
     within a bracket.
 
     It is exact to a share of the step and not of itself (as `event_root` has it): what lies beside
-    the step's start is known no better.
+    the step's start is known no better. The search begins where a cubic through both ends falls.
     """
     firm = map_tree(plain, (course._replace(until=0.0), z, u))
 
+    def look_at(course: LegCourse, z: Any, u: Any, t: Any) -> tuple[Any, Any]:
+        z_1, u_1, _ = take_step(accelerate, course, z, u, accelerate(course, z, u), t)
+        return look(course, z_1, u_1, accelerate(course, z_1, u_1))
+
     def improve(s: _RootSearch, firm: Any, h: NDArray) -> _RootSearch:
-        course, z, u = firm
-        z_1, u_1, _ = take_step(accelerate, course, z, u, accelerate(course, z, u), s.t)
-        value, rate = look(course, z_1, u_1, accelerate(course, z_1, u_1))
+        value, rate = look_at(*firm, s.t)
         lo, hi = np.where(value > 0, s.t, s.lo), np.where(value > 0, s.hi, s.t)
         t = s.t - value / np.where(rate == 0, -1e-300, rate)
         t = np.where((t >= lo) & (t <= hi), t, 0.5 * (lo + hi))
-        return _RootSearch(t, lo, hi, np.abs(t - s.t) > _EXACT * h, s.count + 1)
+        last = np.abs(t - s.t)
+        # Newton's error is quadratic in its step, where steps shrink as they do at a simple root.
+        arrived = (last <= _SQUARED * h) & (last <= _SHRINKS * s.last)
+        return _RootSearch(t, lo, hi, last, (last > _EXACT * h) & ~arrived, s.count + 1)
 
     h = np.asarray(h, float)
-    start = _RootSearch(0.5 * h, np.zeros_like(h), h, h > 0, np.zeros(h.shape, int))
+    none = np.zeros_like(h)
+    course, z, u = firm
+    begin = look(course, z, u, accelerate(course, z, u))
+    t = h * _find_fall(h, *begin, *look_at(*firm, h))
+    start = _RootSearch(t, none, h, h, h > 0, np.zeros(h.shape, int))
     return repeat_while(lambda s: s.moves & (s.count < _TRIES), improve, start, firm, h).t
+
+
+def _find_fall(h: NDArray, f_0: Any, d_0: Any, f_1: Any, d_1: Any) -> NDArray:
+    """About the share of a step of h [s] at which the cubic falls through zero that has these
+    values and slopes at its ends, and is below zero at the last."""
+    rise, d_0, d_1 = f_1 - f_0, h * d_0, h * d_1
+    bend, twist = 3 * rise - 2 * d_0 - d_1, d_0 + d_1 - 2 * rise
+    s, lo, hi = 0.5 + 0 * h, 0 * h, 1 + 0 * h
+    for _ in range(_GUESSES):
+        value = f_0 + s * (d_0 + s * (bend + s * twist))
+        rate = d_0 + s * (2 * bend + 3 * s * twist)
+        lo, hi = np.where(value > 0, s, lo), np.where(value > 0, hi, s)
+        s = s - value / np.where(rate == 0, -1e-300, rate)
+        s = np.where((s > lo) & (s < hi), s, 0.5 * (lo + hi))
+    return s
 
 
 def _walk_on(mode: LegMode, walk: _Walk, course: LegCourse, until: NDArray) -> _Walk:
