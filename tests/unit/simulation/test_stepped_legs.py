@@ -48,7 +48,7 @@ def _follow(rig, v, legs):
 
 def _assert_same_course(stepped, exact):
     """Regimes, contacts, halts and the contact of the peak are the same. Before a slow tip a part
-    sticks and slips to peaks that are equal but for rounding: which counts is not compared there."""
+    sticks and slips to peaks that are equal but for rounding: which counts is left open there."""
     np.testing.assert_array_equal(stepped.kind >> 10, exact.kind >> 10)
     few = exact.contacts < 3
     np.testing.assert_array_equal(stepped.kind[few], exact.kind[few])
