@@ -39,6 +39,9 @@ os.environ["JAX_ENABLE_X64"] = "1"
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 # As the commands set it: with another value they would not find the tests' programs.
 os.environ.setdefault("EQX_ON_ERROR", "nan")
+# Likewise: where every core has a worker, a product of matrices by threads that wait for each other
+# took 50 times as long, and the whole suite three times.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 if "XLA_FLAGS" not in os.environ:  # the workers have it of the process that starts them
     os.environ["XLA_FLAGS"] = COMPILER if _are_known(COMPILER) else ""
 

@@ -167,6 +167,10 @@ def _fail(words: str, status: int) -> int:
 def prepare_jax() -> None:
     """Set 64 bits, and keep compiled programs in the user's cache folder between runs."""
     os.environ.setdefault("JAX_ENABLE_X64", "1")
+    # Several threads wait for each other in loops: a matrix of 250 is inverted 50 times as slowly
+    # where another process is busy, and hardly sooner where none is.
+    for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
     # Equinox's error callbacks would keep programs out of the cache; failures come as NaN and
     # with a reason here.
     os.environ.setdefault("EQX_ON_ERROR", "nan")

@@ -311,9 +311,8 @@ def stack_uneven(
 
 
 def _add_doubt(position: UnevenBlocks, details: Sequence[Reduced]) -> UnevenBlocks:
-    """Positions with the direction that they are in doubt of, where a push has one."""
-    if not any(x.release_velocity_doubt for x in details):
-        return position
+    """Positions with the direction that they are in doubt of: zeros where a push has none, so that
+    one program serves all."""
     rows = []
     for i, detail in enumerate(details):
         t, a, b = position.t[i], position.a[i], position.b[i]
