@@ -13,6 +13,8 @@ import inspect
 from collections.abc import Callable
 from typing import Any
 
+from threadpoolctl import threadpool_limits
+
 _OF_PUSHES = {
     "diagnose": "diagnosis.procedure",
     "fit": "calibration.calibrate",
@@ -33,6 +35,9 @@ _OF_AXIS = {
     "simulate": "axis.motion.simulate.simulate_axis",
 }
 """Name -> the function for an axis."""
+_LONG = ("diagnose", "fit", "identify")
+"""Those that compute with matrices for seconds. Threads of BLAS wait for each other in loops
+meanwhile: where another process is busy, a matrix of 250 is inverted 50 times as slowly."""
 
 
 def __getattr__(name: str) -> Any:
@@ -51,11 +56,16 @@ def _join(name: str) -> Callable[..., Any]:
         if name == "load":
             return _load(of_pushes, *given, **options)
         data = given[1] if len(given) > 1 else options.get("data")
+        function = of_pushes
         if given and _is_axis(name, given[0]):
             _refuse_pushes(name, data)
-            return _get_of_axis(name)(*given, **options)
-        _refuse_axis(name, data)
-        return of_pushes(*given, **options)
+            function = _get_of_axis(name)
+        else:
+            _refuse_axis(name, data)
+        if name not in _LONG:
+            return function(*given, **options)
+        with threadpool_limits(1, user_api="blas"):
+            return function(*given, **options)
 
     said = inspect.cleandoc(of_pushes.__doc__ or name)
     choose.__doc__ = f"{said}\n\nOf an axis: `difffric.{_OF_AXIS[name]}`, with its own options."

@@ -382,7 +382,7 @@ def _bad(kind: str, folder: Path) -> tuple[Path, Path]:
     if kind == "no data":
         return folder / "none.tdms", setup
     if kind == "suffix":
-        data = folder / "pushes.xlsx"
+        data = folder / "pushes.ods"
         data.write_text(table)
     elif kind == "no column":
         data.write_text("".join(row.partition(",")[2] for row in table.splitlines(True)))
@@ -407,7 +407,7 @@ def _bad(kind: str, folder: Path) -> tuple[Path, Path]:
     [
         ("no set-up", ("none.toml", "no such file")),
         ("no data", ("none.tdms", "no such file")),
-        ("suffix", ("pushes.xlsx", "expected", ".csv", ".tdms")),
+        ("suffix", ("pushes.ods", "expected", ".csv", ".tdms")),
         ("no column", ("pushes.csv", "velocity_mm_min")),
         ("decimal comma", ("pushes.csv", "line 2", "122,188")),
         ("other mass", ("push 1 of 14", "18.9 kg", "17 kg", "--use-data-mass")),

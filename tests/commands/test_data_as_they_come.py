@@ -14,6 +14,7 @@ import pytest
 
 import difffric as df
 from difffric.commands.figures.style import make_figure, write_name
+from difffric.measurements.files import workbook
 from difffric.measurements.pushes import COLUMNS
 from difffric.name_text import make_printable, shorten_name
 from tests.commands.variants import (
@@ -32,6 +33,7 @@ from tests.commands.variants import (
     V,
     copy_recordings,
     rename,
+    write_workbook,
 )
 
 SETUP = EXAMPLES / "setup.toml"
@@ -58,6 +60,26 @@ def test_a_table_says_the_same_in_whatever_way_it_is_written(tmp_path, name):
             assert np.allclose(theirs, ours, rtol=1e-14, atol=0, equal_nan=True), column
     converted = [i for i in table.units if i in (V, F, D, *SE, M)]
     assert sum("converted from" in note for note in read.notes) >= len(converted)
+
+
+def test_a_workbook_says_the_same(tmp_path):
+    pytest.importorskip("fastexcel")
+    read = df.load(write_workbook(tmp_path / "pushes.xlsx"))
+    for column in COLUMNS:
+        ours, theirs = getattr(TRUTH, column), getattr(read, column)
+        if column == "condition":
+            assert theirs == ours
+        else:
+            assert np.allclose(theirs, ours, rtol=1e-14, atol=0, equal_nan=True), column
+    (tmp_path / "bad.xlsx").write_text("velocity_mm_min")
+    with pytest.raises(df.InputError, match=r"bad\.xlsx: not an Excel workbook"):
+        df.load(tmp_path / "bad.xlsx")
+
+
+def test_a_workbook_asks_for_what_reads_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(workbook, "find_spec", lambda name: None)
+    with pytest.raises(df.InputError, match=r"save the sheet as CSV UTF-8, or pip install"):
+        df.load(write_workbook(tmp_path / "pushes.xlsx"))
 
 
 @pytest.mark.parametrize("name", RECORDINGS)

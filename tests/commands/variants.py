@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
@@ -232,3 +233,54 @@ RECORDINGS: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
         {},
     ),
 }  # fmt: skip
+
+
+_SCHEMAS = "http://schemas.openxmlformats.org/"
+_TYPES = "application/vnd.openxmlformats-"
+_SHEETS = f"{_TYPES}officedocument.spreadsheetml"
+_LINKS = f"{_SCHEMAS}officeDocument/2006/relationships"
+
+
+def _link(kind: str, target: str) -> str:
+    """What says that a part of a workbook belongs to another."""
+    return (
+        f'<Relationships xmlns="{_SCHEMAS}package/2006/relationships">'
+        f'<Relationship Id="r1" Type="{_LINKS}/{kind}" Target="{target}"/></Relationships>'
+    )
+
+
+_WORKBOOK = {
+    "[Content_Types].xml": (
+        f'<Types xmlns="{_SCHEMAS}package/2006/content-types">'
+        f'<Default Extension="rels" ContentType="{_TYPES}package.relationships+xml"/>'
+        f'<Override PartName="/xl/workbook.xml" ContentType="{_SHEETS}.sheet.main+xml"/>'
+        f'<Override PartName="/xl/sheet1.xml" ContentType="{_SHEETS}.worksheet+xml"/></Types>'
+    ),
+    "_rels/.rels": _link("officeDocument", "xl/workbook.xml"),
+    "xl/_rels/workbook.xml.rels": _link("worksheet", "sheet1.xml"),
+    "xl/workbook.xml": (
+        f'<workbook xmlns="{_SCHEMAS}spreadsheetml/2006/main" xmlns:r="{_LINKS}">'
+        '<sheets><sheet name="pushes" sheetId="1" r:id="r1"/></sheets></workbook>'
+    ),
+}
+"""What a workbook of one sheet consists of, beside the sheet."""
+
+
+def write_workbook(path: Path) -> Path:
+    """Write the table of `examples/pushes.csv` as an Excel workbook."""
+
+    def write_cell(cell: str) -> str:
+        try:
+            return f"<c><v>{float(cell)!r}</v></c>"
+        except ValueError:
+            return f'<c t="inlineStr"><is><t>{cell}</t></is></c>'
+
+    rows = "".join(f"<row>{''.join(map(write_cell, row))}</row>" for row in (HEADER, *ROWS))
+    sheet = (
+        f'<worksheet xmlns="{_SCHEMAS}spreadsheetml/2006/main">'
+        f"<sheetData>{rows}</sheetData></worksheet>"
+    )
+    with zipfile.ZipFile(path, "w") as book:
+        for name, text in {**_WORKBOOK, "xl/sheet1.xml": sheet}.items():
+            book.writestr(name, '<?xml version="1.0" encoding="UTF-8"?>' + text)
+    return path

@@ -575,7 +575,7 @@ def test_no_file_and_a_folder_are_refused(name):
     assert problems(df.load, name) == [f"{name}: expected a file, got a folder"]
 
 
-@pytest.mark.parametrize("name", ["pushes.xlsx", "pushes", "pushes.tdms_index"])
+@pytest.mark.parametrize("name", ["pushes.ods", "pushes", "pushes.tdms_index"])
 def test_other_kinds_of_file_are_refused(name):
     assert "expected a table (.csv) or recordings (.tdms)" in problems(df.load, name)[0]
 
