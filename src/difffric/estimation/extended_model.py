@@ -359,7 +359,7 @@ class ExtendedModel:
     def _answers(
         self, index: NDArray, c: NDArray, directions: NDArray, keep_rows: bool
     ) -> PushAnswer:
-        if not directions.shape[1] and self.directions and not self._has_forms:
+        if not directions.shape[1] and self.directions:
             return self._valued._answers(index, c, directions, keep_rows)
         # A batch goes on for as long as its longest push: alike ones together.
         N, size = len(c), self._batch

@@ -22,9 +22,11 @@ from difffric.diagnosis.background.evidence import (
     sum_logs,
 )
 from difffric.diagnosis.background.search import BackgroundSearch
+from difffric.diagnosis.background.small_effects import ask_at
 from difffric.diagnosis.data import DiagnosisData
 from difffric.diagnosis.inferred.changes import compare_readings
 from difffric.diagnosis.location import add_free_forms
+from difffric.estimation.ensemble import EnsembleTask, Fits
 from difffric.rig import free_form
 from difffric.rig.free_form import FORMS
 
@@ -36,6 +38,8 @@ _SELDOM = float(np.log(3.0))
 """Log odds against something outside the catalogue."""
 _ODDS = float(np.log(20.0))
 """Log odds by which a curve must explain the data better than causes, or nothing, do."""
+_STEP = 2e-3
+"""Coefficient by which the columns of curves are measured: as small as the shapes'."""
 _MANY, _HALF = 3, 0.5
 """From how many causes on one may doubt that they are any, and the share of what they explain."""
 
@@ -81,15 +85,11 @@ def compare_with_curves(
     """Compare the causes `items` with curves in place of them and beside them."""
     task, joint, evidence = data.task, search.joint, search.evidence
     wide = add_free_forms(task, data.scales)
-    names = wide.model.coordinates.names
     K = len(task.model.coordinates.names)
-    c = np.zeros((task.n, len(names)))
+    c = np.zeros((task.n, len(wide.model.coordinates.names)))
     c[:, :K] = joint.c[0]
     c[:, 0] = joint.mu[0, task.condition] + joint.own[0]
-    directions = np.eye(len(names))[K:]
-    rows = wide.model.answers(np.arange(task.n), c, directions, True).rows[..., :-1]
-    rows = rows / joint.spread[0][:, None, None]
-    curves = np.split(rows.reshape(task.n, -1, len(FORMS) * free_form.SPLINES), len(FORMS), axis=2)
+    curves = np.split(_measure_columns(wide, joint), len(FORMS), axis=2)
     priors = [size**2 * _correlate(length) for length in _LENGTHS for size in _SIZES]
     price = float(np.log(len(FORMS))) + _SELDOM
     alone = list(_weigh_curves(evidence, (), curves, priors))
@@ -109,6 +109,23 @@ def compare_with_curves(
         },
         change=compare_readings(wide, bent, c)[2],
     )
+
+
+def _measure_columns(wide: EnsembleTask, joint: Fits) -> NDArray:
+    """The columns (n, R, k) of the residuals' changes by each coefficient of the free forms, where
+    the joint fit stands.
+
+    By differences, as those of shapes: a program of all forms with derivatives is compiled for a
+    minute, and those are asked for once.
+    """
+    K, names = joint.c.shape[1], wide.model.coordinates.names
+    at = np.concatenate([joint.c[0], np.zeros(len(names) - K)])
+    points = np.tile(at, (1 + len(names) - K, 1))
+    points[1:, K:] = _STEP * np.eye(len(names) - K)
+    answers = ask_at(wide, joint, points)
+    r = answers.residual.reshape(len(points), wide.n, 2, -1) / joint.spread[0][:, None]
+    moved = ((r[1:] - r[0]) / _STEP).reshape(len(points) - 1, wide.n, -1)
+    return np.moveaxis(moved, 0, 2)
 
 
 class _CurveFit(NamedTuple):
