@@ -205,13 +205,13 @@ def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
         sections.append(Section("Beyond the plain model", tables=(table,)))
     if pictures:
         recordings = found.used_recordings
+        models = "the plain model in red" + (", with its causes in blue" if found.causes else "")
         drawn = []
         if recordings:
             drawn.append(
                 Picture(
                     "misfit",
-                    "How far the model misses each push: the plain model in red, with its causes "
-                    "in blue.",
+                    f"How far the model misses each push: {models}.",
                     figures.diagnose.draw_misfit(found),
                 )
             )
@@ -219,7 +219,7 @@ def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
             Picture(
                 "where",
                 "Squared residuals over what changes during a push and between pushes, in units of "
-                "the noise: the plain model in red, with its causes in blue.",
+                f"the noise: {models}.",
                 figures.diagnose.draw_where(found),
             )
         )
@@ -227,8 +227,7 @@ def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
             drawn.append(
                 Picture(
                     "residuals",
-                    "Residuals of the pushes that the plain model follows worst: the plain model "
-                    "in red, with its causes in blue.",
+                    f"Residuals of the pushes that the plain model follows worst: {models}.",
                     figures.diagnose.draw_residuals(found),
                 )
             )
