@@ -120,7 +120,10 @@ def _advise(found: Diagnosis) -> list[str]:
             "the causes."
         )
     elif found.verdict == ADEQUATE:
-        lines.append("Go on with this model: difffric fit calibrates it, identify gives mu_s.")
+        lines.append(
+            "Go on with this model: the setup.toml that --out writes is calibrated, and difffric "
+            "identify gives mu_s of each push with it, as with one that difffric fit has written."
+        )
     elif found.location:
         lines.append(
             f"Look at the {found.location.component.replace('_', ' ')} of the rig: nothing in the "

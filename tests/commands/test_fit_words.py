@@ -1,0 +1,51 @@
+"""What a fit says of itself in sentences, and what it tells to do next."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from difffric.commands.reports.fit_summary import advise, summarise_fit
+
+
+def make_fit(reduced_chi2=1.0, **other):
+    """What the sentences take of a fit of recordings with fifty thousand samples."""
+    fit = SimpleNamespace(
+        reduced_chi2=reduced_chi2,
+        degrees_of_freedom=50_000,
+        chi2=50_000 * reduced_chi2,
+        converged=True,
+        spread_force=np.nan,
+        spread_distance=np.nan,
+        starts_at_optimum=(1, 1),
+        kind="recordings",
+        left_out=0,
+        free=("mu_s",),
+        names=("mu_s",),
+        scatter=0.02,
+        scatter_se=0.004,
+        not_identifiable=[],
+        mu_s=np.full(16, 0.11),
+        samples=50_010,
+        notes=(),
+        skipped=(),
+        value=lambda label: 0.11,
+        standard_error=lambda label: 0.001,
+    )
+    vars(fit).update(other)
+    return fit
+
+
+@pytest.mark.parametrize(
+    ("reduced_chi2", "verdict", "leads_to"),
+    [
+        (1.01, "the model follows the data to their noise", "identify"),
+        (1.04, "to within 2 % of their noise (reduced chi-square 1.04: more than", "identify"),
+        (1.08, "the model does not follow the data to their noise", "diagnose"),
+    ],
+)
+def test_the_noise_is_known_to_two_per_cent(reduced_chi2, verdict, leads_to):
+    fit = make_fit(reduced_chi2)
+    assert verdict in summarise_fit(fit)[0]
+    (line,) = advise(fit, None, None)
+    assert f"difffric {leads_to}" in line
