@@ -150,7 +150,8 @@ def test_the_next_push_is_said_where_it_is_typed(fitted):
     plain = (fitted["tdms"].parent / "said").read_text()
     fitted_setup = fitted["tdms"] / "setup.toml"
     assert "Make a push" not in plain
-    assert plain.endswith(f"next: difffric identify {TDMS} --setup {fitted_setup}\n")
+    assert plain.endswith(f"with it.\n  difffric identify {TDMS} --setup {fitted_setup}\n")
+    assert "next:" not in plain
 
 
 def test_the_folder_holds_the_page_the_figures_and_the_set_up(fitted):

@@ -1,11 +1,14 @@
 """What a fit says of itself in sentences, and what it tells to do next."""
 
+import shlex
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from difffric.commands.reports.fit_summary import advise, summarise_fit
+from difffric.commands.options import ReadOptions, format_command
+from difffric.commands.reports.fit_summary import advise, choose_command, summarise_fit
 
 
 def make_fit(reduced_chi2=1.0, **other):
@@ -49,3 +52,19 @@ def test_the_noise_is_known_to_two_per_cent(reduced_chi2, verdict, leads_to):
     assert verdict in summarise_fit(fit)[0]
     (line,) = advise(fit, None, None)
     assert f"difffric {leads_to}" in line
+    assert choose_command(fit) == leads_to
+
+
+def test_what_did_not_converge_leads_to_no_command():
+    assert choose_command(make_fit(converged=False)) == ""
+
+
+def test_the_command_reads_the_same_data_in_the_same_way():
+    asked = ReadOptions(skip_bad=True, channel=["force=F (N)"])
+    typed = format_command(
+        "diagnose", Path("my data.tdms"), Path("setup.toml"), asked, "--out", "x"
+    )
+    assert shlex.split(typed)[2:] == [
+        "my data.tdms", "--setup", "setup.toml", "--skip-bad", "--channel", "force=F (N)",
+        "--out", "x",
+    ]  # fmt: skip

@@ -25,8 +25,10 @@ from difffric.commands.options import (
     DataMass,
     Out,
     Quiet,
+    ReadOptions,
     SkipBad,
     TrustUnits,
+    format_command,
     load_data,
     read_setup_for,
 )
@@ -57,6 +59,7 @@ def diagnose(
 ) -> None:
     """Report what the simulation gets wrong, the cause, the extended model and what it gains."""
     check_out(out)
+    asked = ReadOptions(skip_bad, channel, trust_units, use_data_mass)
     if not 0 <= matters < 1:
         raise InputError(f"--matters: expected a share of mu_s from 0 to 1, got {matters:g}")
     if is_fleet(data, workers, scheduler):
@@ -66,7 +69,6 @@ def diagnose(
     if is_axis_file(file):
         from difffric.commands.axis import run  # pushes need none of it
 
-        asked = run.ReadOptions(skip_bad, channel, trust_units)
         return run.run_diagnose(data, file, matters, asked, out, quiet)
     check_setup_stays(out, file)
     rig = read_setup_for(file, channel)
@@ -82,7 +84,8 @@ def diagnose(
             tell=tell,
         )
         tell("drawing", 0.99)
-        report = reports.diagnose.report_diagnosis(found, pictures=out is not None)
+        go_on = format_command("identify", data, (out or Path("DIR")) / "setup.toml", asked)
+        report = reports.diagnose.report_diagnosis(found, go_on, pictures=out is not None)
         files = None if out is None else {"setup.toml": df.rig.format_setup(found.setup).encode()}
     print_and_write(report, found.as_dict(), out, files, tell.timings, loaded.notes)
 

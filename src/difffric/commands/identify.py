@@ -22,6 +22,7 @@ from difffric.commands.options import (
     DataMass,
     Out,
     Quiet,
+    ReadOptions,
     SkipBad,
     TrustUnits,
     load_data,
@@ -43,13 +44,13 @@ def identify(
 ) -> None:
     """Identify mu_s of each push every way that its measurements allow."""
     check_out(out)
+    asked = ReadOptions(skip_bad, channel, trust_units, use_data_mass)
     if is_fleet(data, workers, scheduler):
         return _identify_fleet(data, setup, use_data_mass, workers, scheduler, out, quiet)
     file = check_setup(setup, data)
     if is_axis_file(file):
         from difffric.commands.axis import run  # pushes need none of it
 
-        asked = run.ReadOptions(skip_bad, channel, trust_units)
         return run.run_identify(data, file, asked, out, quiet)
     rig = read_setup_for(file, channel)
     loaded = load_data(data, rig, skip_bad, trust_units)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -45,6 +47,16 @@ Out = Annotated[
     typer.Option(help="Folder for the results: report.html, result.json, figures and other files."),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress on standard error.")]
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """How measured data are to be read, as the options say it."""
+
+    skip_bad: bool = False
+    channel: Sequence[str] | None = None
+    trust_units: bool = False
+    use_data_mass: bool = False
 
 
 def require_positive(name: str, value: float | None) -> float | None:
@@ -117,6 +129,26 @@ def load_data(
     if trust_units:
         return loaded
     return replace(loaded, notes=(*loaded.notes, *refuse_wrong_units(loaded, setup.rig)))
+
+
+def format_command(
+    command: str,
+    data: Path,
+    setup: Path,
+    asked: ReadOptions,
+    *rest: str,
+) -> str:
+    """Return what to type for a command on the same data, read in the same way."""
+    words = ["difffric", command, str(data), "--setup", str(setup)]
+    for option, given in (
+        ("--skip-bad", asked.skip_bad),
+        ("--trust-units", asked.trust_units),
+        ("--use-data-mass", asked.use_data_mass),
+    ):
+        words += [option] * given
+    for names in asked.channel or ():
+        words += ["--channel", names]
+    return shlex.join([*words, *rest])
 
 
 def load_motions(data: Path, setup: df.Setup) -> df.Recordings:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,17 +19,8 @@ from difffric.axis.setup import AxisSetup
 from difffric.axis.unit_checks import refuse_wrong_units
 from difffric.commands.axis import check, report
 from difffric.commands.console import check_setup_stays, print_and_write, show_progress
-from difffric.commands.options import parse_channels
+from difffric.commands.options import ReadOptions, parse_channels
 from difffric.errors import InputError
-
-
-@dataclass(frozen=True)
-class ReadOptions:
-    """How a recording is to be read, as the options say it."""
-
-    skip_bad: bool = False
-    channel: Sequence[str] | None = None
-    trust_units: bool = False
 
 
 def read_both(setup: Path, data: Path, asked: ReadOptions) -> tuple[AxisSetup, AxisRecordings]:

@@ -127,7 +127,10 @@ def report_check(found: Examined, known: Identifiability, setup: Setup, pictures
             Section("Skipped", (), [Table("What was left out, and why", ("what",), rows)])
         )
     return Report(
-        "What would be fitted", _summarise(found, known, setup), sections, _advise(found, known)
+        "What would be fitted",
+        _summarise(found, known, setup),
+        sections,
+        _advise(found, known, pictures),
     )
 
 
@@ -162,11 +165,16 @@ def _summarise(found: Examined, known: Identifiability, setup: Setup) -> list[st
     return lines
 
 
-def _advise(found: Examined, known: Identifiability) -> list[str]:
+def _advise(found: Examined, known: Identifiability, pictures: bool) -> list[str]:
     """Return what to do next with the data."""
-    lines = [
-        "Look at the figures: are these the pushes that were made, and are the landmarks right?"
-    ]
+    if not pictures:
+        lines = ["Look at the table: are these the pushes that were made? --out DIR draws them."]
+    elif found.recordings is None:
+        lines = ["Look at the figure: are these the pushes that were made?"]
+    else:
+        lines = [
+            "Look at the figures: are these the pushes that were made, and are the landmarks right?"
+        ]
     if known.not_identifiable:
         lines.append(
             "Measure at other speeds, or hold what is not determined: difffric fit --free names "

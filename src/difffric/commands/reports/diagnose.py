@@ -141,8 +141,9 @@ def _advise(found: Diagnosis) -> list[str]:
     return lines
 
 
-def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
-    """Return the report of a diagnosis; with figures where there are to be pictures."""
+def report_diagnosis(found: Diagnosis, go_on: str, pictures: bool) -> Report:
+    """Return the report of a diagnosis; with figures where there are to be pictures. `go_on` is the
+    command that goes on with a model that is adequate."""
     g, left = found.gain, found.remaining
     summary = [] if left is None else [f"{str(left).capitalize()}."]
     summary.append(_VERDICTS.get(found.verdict, _UNEXPLAINED))
@@ -260,4 +261,10 @@ def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
         sections.append(Section("What these data cannot say", text, (table,)))
     if found.notes:
         sections.append(Section("Notes", found.notes))
-    return Report("Diagnosis", tuple(summary), tuple(sections), _advise(found))
+    return Report(
+        "Diagnosis",
+        tuple(summary),
+        tuple(sections),
+        _advise(found),
+        go_on if found.verdict == ADEQUATE else "",
+    )

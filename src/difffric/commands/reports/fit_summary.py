@@ -51,6 +51,13 @@ def follows_data(fit: Fit, noise_error: float = KNOWN_TO) -> bool:
     return not fit.reduced_chi2 > by_chance * (1 + noise_error) ** 2
 
 
+def choose_command(fit: Fit) -> str:
+    """Return the command that the verdict leads to: `identify`, `diagnose`, or none."""
+    if not fit.converged:
+        return ""
+    return "identify" if follows_data(fit) else "diagnose"
+
+
 def _judge(fit: Fit) -> str:
     """Return what is to be thought of a fit, in a sentence."""
     chi2 = f"reduced chi-square {fit.reduced_chi2:.3g}, where 1 is expected"
@@ -79,15 +86,16 @@ def advise(fit: Fit, push: NextPush | None, no_push: str | None) -> list[str]:
         lines.append(
             "Begin with a set-up that is nearer to the rig, or with fewer free parameters (--free)."
         )
-    elif not follows_data(fit):
-        lines.append("Run difffric diagnose on the same data: it looks for what the model lacks.")
     if fit.not_identifiable and push is None:
         lines.append(
             "What these data do not determine needs other pushes, or --free without it: "
             "difffric fit --next-push names the push that tells most."
         )
     lines += describe_next(push, no_push)
-    if fit.converged and follows_data(fit):
+    then = choose_command(fit)
+    if then == "diagnose":
+        lines.append("Run difffric diagnose on the same data: it looks for what the model lacks.")
+    elif then:
         lines.append(
             "Use the fitted setup.toml, which --out writes: difffric identify gives mu_s of each "
             "push with it."
