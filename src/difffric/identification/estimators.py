@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from difffric.estimation import coordinates
+from difffric.estimation.open_parameters import describe_assumed_ratio
 from difffric.identification.agreement import describe_agreement, judge_recording
 from difffric.identification.combination import combine
 from difffric.identification.estimates import NONE, Estimates, Identified, PushFriction
@@ -106,6 +107,9 @@ def identify(
         notes += describe_motion(reduction.recordings)
         notes += describe_tracking(reduction.recordings, known.rig.pusher.stroke)
         notes += describe_latch(reduction)
+    if "mu_k_over_mu_s" not in known.names:
+        mu_s = np.array([np.nan if x.best.value is None else x.best.value for x in answers])
+        notes += describe_assumed_ratio(known.rig, pushes, mu_s)
     return Identified(tuple(answers), pushes.skipped, notes)
 
 

@@ -162,7 +162,7 @@ def _summarise(found: Examined, known: Identifiability, setup: Setup) -> list[st
         lines.insert(0, "These data can determine every parameter that a fit frees by default.")
     if setup.rig.pusher.stroke is None and np.isnan(p.stroke).all() and not p.free_slides:
         lines.append(NO_STROKE)
-    return lines
+    return [*lines, *(f"Note: {note}." for note in known.notes)]
 
 
 def _advise(found: Examined, known: Identifiability, pictures: bool) -> list[str]:
@@ -196,7 +196,7 @@ def _explain(known: Identifiability, recorded: bool) -> list[str]:
             "errors are smaller."
         )
     text += [f"{', '.join(x['parameters'])}: {x['reason']}" for x in known.not_identifiable]
-    return [*text, *(f"Note: {note}." for note in known.notes)]
+    return text
 
 
 def _tabulate_errors(known: Identifiability, setup: Setup) -> Table:
