@@ -63,6 +63,21 @@ def test_foreign_names_go_into_the_set_up_and_a_mass_is_asked_for(run, tmp_path,
     assert np.array_equal(read.velocity, df.load(EXAMPLES / "pushes.csv").velocity)
 
 
+def test_a_mass_that_the_file_contradicts_is_refused(run, tmp_path):
+    to = tmp_path / "setup.toml"
+    for given, words in (
+        (18900, "; was it meant in grams?"),
+        (12, ": expected the same, or no option"),
+    ):
+        code, _, said = run("init", EXAMPLES / "pushes.csv", "--to", to, "--mass-kg", given)
+        assert code == 2 and not to.exists()
+        assert said == f"difffric: --mass-kg {given}: the file says 18.9 kg{words}\n"
+    assert run("init", EXAMPLES / "pushes.csv", "--to", to, "--mass-kg", 18.85)[0] == 0
+    to.write_text(to.read_text().replace("mass_kg = 18.85", "mass_kg = 18900"))
+    code, _, said = run("check", EXAMPLES / "pushes.csv", "--setup", to)
+    assert code == 2 and "the set-up's mass looks like g, expected kg: write mass_kg = 18.9" in said
+
+
 def test_the_place_of_a_stroke_is_shown_where_nothing_says_it(run, tmp_path):
     text = (EXAMPLES / "pushes.csv").read_text()
     data, to = tmp_path / "pushes.csv", tmp_path / "setup.toml"

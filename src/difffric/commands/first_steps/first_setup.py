@@ -16,6 +16,7 @@ import difffric as df
 from difffric.commands.first_steps.setup_text import Line, format_tables
 from difffric.commands.options import require_positive
 from difffric.errors import InputError
+from difffric.measurements.checks import MASS_TOLERANCE
 from difffric.measurements.load_file import load
 from difffric.measurements.noise import Noise
 from difffric.measurements.pushes import Pushes
@@ -171,11 +172,17 @@ def _measure_misfit(
 def _ask_for_mass(data: Pushes | Any, given: float | None) -> float:
     """The mass [kg] from the option, else from the data, else from who sits at the terminal.
 
-    Raises `InputError` where none of them says it.
+    Raises `InputError` where none of them says it, and where the option says another mass than
+    every push: all other commands would refuse such a set-up.
     """
-    if given is not None:
-        return given
     said = data.mass if isinstance(data, Pushes) else np.array([push.mass for push in data])
+    if given is not None:
+        known = said[np.isfinite(said)]
+        if len(known) and not np.any(abs(known - given) <= MASS_TOLERANCE * given):
+            in_grams = np.any(abs(1e3 * known - given) <= MASS_TOLERANCE * given)
+            doubt = "; was it meant in grams?" if in_grams else ": expected the same, or no option"
+            raise InputError(f"--mass-kg {given:.6g}: the file says {known[0]:.6g} kg{doubt}")
+        return given
     if np.isfinite(said).all():
         return float(np.median(said))
     if sys.stdin.isatty():
