@@ -37,6 +37,13 @@ def test_a_set_up_is_written_that_a_fit_can_start_from(run, tmp_path, name):
     to = tmp_path / "setup.toml"
     code, said, _ = run("init", EXAMPLES / name, "--to", to, "--stroke-mm", 1.2)
     assert code == 0 and f"written to {to}" in said
+    assert "from the file: mass 18.9 kg\n" in said  # the stroke was given
+    assert "assumed, until you read your data sheets: sensitivity 11.2 mV/N, range 446 N" in said
+    assert (
+        "range_N = 446                 # assumed: put the value of your data sheet;"
+        in to.read_text()
+    )
+    assert "stroke_mm = 1.2               # given with --stroke-mm; " in to.read_text()
     setup = df.read_setup(to)
     assert float(setup.rig.mass) == TRUTH["mass_kg"] and float(setup.rig.pusher.stroke) == 1.2e-3
     for value, key in ((setup.rig.contact.k, "k_N_per_m"), (setup.rig.contact.b, "b_N_s_per_m")):

@@ -31,6 +31,7 @@ from difffric.commands.options import (
     format_command,
     load_data,
     read_setup_for,
+    sign_setup,
 )
 from difffric.errors import InputError
 
@@ -86,7 +87,15 @@ def diagnose(
         tell("drawing", 0.99)
         go_on = format_command("identify", data, (out or Path("DIR")) / "setup.toml", asked)
         report = reports.diagnose.report_diagnosis(found, go_on, pictures=out is not None)
-        files = None if out is None else {"setup.toml": df.rig.format_setup(found.setup).encode()}
+        files = (
+            None
+            if out is None
+            else {
+                "setup.toml": df.rig.format_setup(
+                    found.setup, signed=sign_setup("diagnose", data)
+                ).encode()
+            }
+        )
     print_and_write(report, found.as_dict(), out, files, tell.timings, loaded.notes)
 
 

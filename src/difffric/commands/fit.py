@@ -30,6 +30,7 @@ from difffric.commands.options import (
     format_command,
     load_data,
     read_setup_for,
+    sign_setup,
 )
 from difffric.errors import InputError
 from difffric.known_so_far import tell_known
@@ -132,6 +133,10 @@ def fit(
         files = (
             None
             if out is None
-            else {"setup.toml": df.rig.format_setup(found.fitted_setup).encode()}
+            else {
+                "setup.toml": df.rig.format_setup(
+                    found.fitted_setup, signed=sign_setup("fit", data)
+                ).encode()
+            }
         )
     print_and_write(report, answer.as_dict(), out, files, tell.timings, loaded.notes)

@@ -13,6 +13,7 @@ import typer
 import difffric as df
 from difffric.axis.files.file_kind import is_axis_file
 from difffric.errors import InputError
+from difffric.name_text import make_printable
 from difffric.units import from_mm
 
 if TYPE_CHECKING:
@@ -149,6 +150,11 @@ def format_command(
     for names in asked.channel or ():
         words += ["--channel", names]
     return shlex.join([*words, *rest])
+
+
+def sign_setup(command: str, data: Path) -> str:
+    """Return the line in which a command signs for a set-up that it has calibrated on data."""
+    return f"Calibrated on {make_printable(data.name)} by difffric {command}."
 
 
 def load_motions(data: Path, setup: df.Setup) -> df.Recordings:

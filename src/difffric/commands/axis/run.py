@@ -19,7 +19,7 @@ from difffric.axis.setup import AxisSetup
 from difffric.axis.unit_checks import refuse_wrong_units
 from difffric.commands.axis import check, report
 from difffric.commands.console import check_setup_stays, print_and_write, show_progress
-from difffric.commands.options import ReadOptions, parse_channels
+from difffric.commands.options import ReadOptions, parse_channels, sign_setup
 from difffric.errors import InputError
 
 
@@ -63,7 +63,11 @@ def run_fit(
         found = fit_axis(axis, loaded, free=free, tell=tell)
         tell("drawing", 0.95)
         page = report.report_fit(found, pictures=out is not None)
-    files = None if out is None else {"setup.toml": format_axis(found.setup).encode()}
+    files = (
+        None
+        if out is None
+        else {"setup.toml": format_axis(found.setup, sign_setup("fit", data)).encode()}
+    )
     print_and_write(page, found.as_dict(), out, files, tell.timings)
 
 
@@ -89,7 +93,11 @@ def run_diagnose(
         found = diagnose_axis(axis, loaded, matters=matters, tell=tell)
         tell("drawing", 0.95)
         page = report.report_diagnosis(found, pictures=out is not None)
-    files = None if out is None else {"setup.toml": format_axis(found.setup).encode()}
+    files = (
+        None
+        if out is None
+        else {"setup.toml": format_axis(found.setup, sign_setup("diagnose", data)).encode()}
+    )
     print_and_write(page, found.as_dict(), out, files, tell.timings)
 
 
