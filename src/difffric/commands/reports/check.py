@@ -21,6 +21,7 @@ from difffric.name_text import shorten_name
 from difffric.number_text import format_number, format_pair
 from difffric.rig import parameters
 from difffric.rig.setup import Setup, refuse_recorded_motion
+from difffric.simulation.events import word_reason
 from difffric.units import to_mm_min, to_um
 
 if TYPE_CHECKING:
@@ -232,7 +233,7 @@ def _tabulate_pushes(found: Examined, known: Identifiability) -> Table:
         for value, error, expected in [distances] if p.free_slides else [forces, distances]:
             number, plus = format_pair(float(value), float(error))
             row += [number if plus == "–" else f"{number} ± {plus}", format_number(expected, 4)]
-        rows.append([*row, _list_missing(found, i)])
+        rows.append([*row, word_reason(_list_missing(found, i))])
     force = [] if p.free_slides else ["F_p [N]", "F_p by the set-up [N]"]
     columns = ["push", "speed [mm/min]", "condition", *force, "d [µm]", "d by the set-up [µm]"]
     columns.append("what is missing")
