@@ -433,7 +433,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(run, tmp_path, command, kind, 
     ("arguments", "words"),
     [
         ((), ("Missing argument",)),
-        ((CSV,), ("--setup",)),
+        ((CSV,), ("--setup is missing", f"difffric init {CSV} writes one")),
         ((CSV, "--setup", SETUP, "--bogus"), ("--bogus",)),
         ((CSV, "--setup", SETUP, "--free", "k"), ("no such parameter: k", "k_N_per_m")),
         ((CSV, "--setup", SETUP, "--free", "mass_kg"), ("mass_kg", "said by the data")),

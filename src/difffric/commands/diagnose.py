@@ -17,7 +17,6 @@ from difffric.commands.fleet_options import (
     Scheduler,
     Workers,
     check_fleet,
-    check_setup,
     is_fleet,
 )
 from difffric.commands.options import (
@@ -28,6 +27,7 @@ from difffric.commands.options import (
     ReadOptions,
     SkipBad,
     TrustUnits,
+    check_setup,
     format_command,
     load_data,
     read_setup_for,

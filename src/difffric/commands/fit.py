@@ -27,6 +27,7 @@ from difffric.commands.options import (
     SetupOption,
     SkipBad,
     TrustUnits,
+    check_setup,
     format_command,
     load_data,
     read_setup_for,
@@ -39,7 +40,7 @@ from difffric.number_text import format_pair
 
 def fit(
     data: Data,
-    setup: SetupOption,
+    setup: SetupOption = None,
     free: Annotated[
         list[str] | None,
         typer.Option(help="A free parameter; by default k, b, k_v and mu_s. Repeatable."),
@@ -79,6 +80,7 @@ def fit(
     """Calibrate on the data and report parameters, errors and what stays open."""
     check_out(out)
     asked = ReadOptions(skip_bad, channel, trust_units, use_data_mass)
+    setup = check_setup(setup, data)
     if is_axis_file(setup):
         from difffric.commands.axis import run  # pushes need none of it
 

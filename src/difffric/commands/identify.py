@@ -14,7 +14,6 @@ from difffric.commands.fleet_options import (
     Scheduler,
     Workers,
     check_fleet,
-    check_setup,
     is_fleet,
 )
 from difffric.commands.options import (
@@ -25,6 +24,7 @@ from difffric.commands.options import (
     ReadOptions,
     SkipBad,
     TrustUnits,
+    check_setup,
     load_data,
     read_setup_for,
 )

@@ -22,7 +22,12 @@ if TYPE_CHECKING:
 Setup = Annotated[Path, typer.Argument(help="The set-up, a setup.toml.", show_default=False)]
 Data = Annotated[Path, typer.Argument(help="Measured data, .csv or .tdms.", show_default=False)]
 SetupOption = Annotated[
-    Path, typer.Option("--setup", help="The set-up, a setup.toml.", show_default=False)
+    Path | None,
+    typer.Option(
+        "--setup",
+        help="The set-up, a setup.toml, which is needed; init writes a first one.",
+        show_default=False,
+    ),
 ]
 DataMass = Annotated[
     bool, typer.Option("--use-data-mass", help="Accept masses that differ from the set-up's.")
@@ -68,6 +73,19 @@ def require_positive(name: str, value: float | None) -> float | None:
     if value is not None and not 0 < value < float("inf"):
         raise InputError(f"{name}: expected a number > 0, got {value:g}")
     return value
+
+
+def check_setup(setup: Path | None, data: Path) -> Path:
+    """Return the set-up's file, which one rig's data need.
+
+    Raises `InputError` where none is given.
+    """
+    if setup is None:
+        raise InputError(
+            f"--setup is missing: expected the set-up of the rig of {data}; difffric init {data} "
+            "writes one"
+        )
+    return setup
 
 
 def read_setup_for(setup: Path, channel: list[str] | None) -> df.Setup:

@@ -18,6 +18,7 @@ from difffric.commands.options import (
     SetupOption,
     SkipBad,
     TrustUnits,
+    check_setup,
     format_command,
     load_data,
     read_setup_for,
@@ -26,7 +27,7 @@ from difffric.commands.options import (
 
 def check(
     data: Data,
-    setup: SetupOption,
+    setup: SetupOption = None,
     use_data_mass: DataMass = False,
     skip_bad: SkipBad = False,
     channel: Channel = None,
@@ -37,6 +38,7 @@ def check(
     """Show what would be fitted: traces, landmarks, noise, what is missing, what can be told."""
     check_out(out)
     asked = ReadOptions(skip_bad, channel, trust_units, use_data_mass)
+    setup = check_setup(setup, data)
     if is_axis_file(setup):
         from difffric.commands.axis import run  # pushes need none of it
 
