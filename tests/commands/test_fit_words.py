@@ -28,6 +28,7 @@ def make_fit(reduced_chi2=1.0, **other):
         scatter=0.02,
         scatter_se=0.004,
         not_identifiable=[],
+        held=(),
         mu_s=np.full(16, 0.11),
         samples=50_010,
         notes=(),
@@ -53,6 +54,14 @@ def test_the_noise_is_known_to_two_per_cent(reduced_chi2, verdict, leads_to):
     (line,) = advise(fit, None, None)
     assert f"difffric {leads_to}" in line
     assert choose_command(fit) == leads_to
+
+
+def test_a_mu_s_that_is_not_determined_is_no_number():
+    left_open = [{"parameters": ["mu_s", "k_v_N_s_per_m"], "reason": "traded off"}]
+    said = summarise_fit(make_fit(not_identifiable=left_open, left_out=420))
+    assert said[1] == "mu_s is not determined by these data."
+    assert any("420 more, beside jumps of the force or speed, were left out" in x for x in said)
+    assert summarise_fit(make_fit())[1] == "mu_s is 0.1100 ± 0.0010."
 
 
 def test_what_did_not_converge_leads_to_no_command():

@@ -19,12 +19,17 @@ def summarise_fit(fit: Fit) -> list[str]:
     """Return what a fit found, the verdict first."""
     reached, of = fit.starts_at_optimum
     kind = {"slides": "free slides"}.get(fit.kind, f"pushes ({fit.kind})")
-    beside = f"; {fit.left_out} more, beside jumps, were left out" if fit.left_out else ""
+    beside = ""
+    if fit.left_out:
+        beside = f"; {fit.left_out} more, beside jumps of the force or speed, were left out"
     lines = [_judge(fit)]
     for label in (x for x in fit.free if x.partition("[")[0] == "mu_s"):
         value, error = format_pair(fit.value(label), fit.standard_error(label))
         condition = shorten_name(label.partition("[")[2].removesuffix("]"), _NAME)
-        lines.append(f"mu_s{f' of {condition}' if condition else ''} is {value} ± {error}.")
+        said = f"{value} ± {error}"
+        if label in list_open(fit):
+            said = "not determined by these data"
+        lines.append(f"mu_s{f' of {condition}' if condition else ''} is {said}.")
     if "mu_s" in fit.names:
         value, error = format_pair(100 * fit.scatter, 100 * fit.scatter_se)
         said = f"{value} %, as the set-up says" if error == MISSING else f"{value} ± {error} %"
@@ -42,6 +47,12 @@ def summarise_fit(fit: Fit) -> list[str]:
     if fit.skipped:
         lines.append(f"Skipped: {len(fit.skipped)} of the data; the last table says why.")
     return lines
+
+
+def list_open(fit: Fit) -> set[str]:
+    """Return the labels of parameters that these data leave open, and that are at no bound."""
+    every = {label for group in fit.not_identifiable for label in group["parameters"]}
+    return every - set(fit.held)
 
 
 def follows_data(fit: Fit, noise_error: float = KNOWN_TO) -> bool:
