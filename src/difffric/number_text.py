@@ -7,13 +7,18 @@ from collections.abc import Mapping
 
 MISSING = "–"
 """What stands where there is no number."""
+_PLAIN_BELOW = 1e5
+"""Numbers below it are written without a power of ten: 1890, not 1.89e+03."""
 
 
 def format_number(value: float | None, digits: int = 4, unit: str = "") -> str:
     """Return a number to so many significant digits, with its unit; a dash where there is none."""
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return MISSING
-    return f"{value:.{digits}g}{' ' + unit if unit else ''}"
+    text = f"{value:.{digits}g}"
+    if "e+" in text and abs(float(text)) < _PLAIN_BELOW:
+        text = f"{float(text):.0f}"
+    return f"{text}{' ' + unit if unit else ''}"
 
 
 def format_with_error(value: float | None, error: float | None, digits: int = 3) -> str:

@@ -23,11 +23,15 @@ def check_writable(folder: str | os.PathLike) -> Path:
     """
     path = Path(folder)
     there = next(p for p in (path, *path.absolute().parents) if p.exists())
+    if not there.is_dir():
+        raise InputError(f"{there} is a file; --out needs a folder")
     try:
         with tempfile.NamedTemporaryFile(dir=there):
             pass
     except OSError as error:
-        raise InputError(f"{path}: cannot write here ({error.strerror}); give --out DIR") from error
+        raise InputError(
+            f"{path}: cannot write here ({error.strerror}); give another folder with --out"
+        ) from error
     return path
 
 

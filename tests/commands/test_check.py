@@ -26,7 +26,11 @@ def test_recordings_are_shown_as_the_library_reduces_them(run, tmp_path, monkeyp
     out = tmp_path / "out"
     code, said, _ = run("check", EXAMPLES / "pushes.tdms", "--setup", SETUP, "--out", out)
     assert code == 0 and "14 recordings at 7 speeds from 600 to 5000 mm/min" in said
-    assert f"next: difffric fit {EXAMPLES / 'pushes.tdms'} --setup {SETUP} --out" in said
+    typed = f"  difffric fit {EXAMPLES / 'pushes.tdms'} --setup {SETUP} --out DIR\n"
+    assert said.endswith(
+        f"Then calibrate: difffric fit takes the same data and the same set-up.\n{typed}"
+    )
+    assert "landmarks right?" in " ".join(said.split())
     answer = read_answer(out)
     reduction = df.measurements.reduce_recordings(df.load(EXAMPLES / "pushes.tdms"))
     for row, F, d, one in zip(
@@ -45,7 +49,9 @@ def test_recordings_are_shown_as_the_library_reduces_them(run, tmp_path, monkeyp
 
 def test_what_the_data_can_determine_is_what_the_library_expects(run, tmp_path):
     out = tmp_path / "out"
-    assert run("check", EXAMPLES / "pushes.csv", "--setup", SETUP, "--out", out)[0] == 0
+    code, said, _ = run("check", EXAMPLES / "pushes.csv", "--setup", SETUP, "--out", out)
+    assert code == 0 and "Next: Look at the figure: are these the pushes" in said
+    assert "landmarks" not in said  # a table has none
     expected = df.calibration.identifiable(df.read_setup(SETUP), df.load(EXAMPLES / "pushes.csv"))
     assert read_answer(out)["determines"] == json.loads(json.dumps(expected.as_dict()))
 
@@ -54,6 +60,7 @@ def test_what_one_speed_leaves_open_is_said_before_a_fit(run, tmp_path):
     data = Table().write(tmp_path / "pushes.csv")
     rows = data.read_text().splitlines()
     data.write_text("\n".join([rows[0], *(r for r in rows if r.startswith("5000.0,"))]) + "\n")
+    assert "figure" not in run("check", data, "--setup", SETUP)[1]
     code, said, _ = run("check", data, "--setup", SETUP, "--out", tmp_path / "out")
     answer = read_answer(tmp_path / "out")
     open_ = {name for x in answer["determines"]["not_identifiable"] for name in x["parameters"]}

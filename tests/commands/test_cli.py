@@ -129,5 +129,5 @@ def test_an_out_that_is_a_file_is_said_before_the_work(home, setup, tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("kept")
     done = run(home, "simulate", setup, "--velocity-mm-min", 3000, "--out", blocked)
-    assert done.returncode == 2 and "cannot write" in done.stderr
+    assert done.returncode == 2 and "file is a file; --out needs a folder" in done.stderr
     assert blocked.read_text() == "kept"

@@ -150,7 +150,8 @@ def test_the_next_push_is_said_where_it_is_typed(fitted):
     plain = (fitted["tdms"].parent / "said").read_text()
     fitted_setup = fitted["tdms"] / "setup.toml"
     assert "Make a push" not in plain
-    assert plain.endswith(f"next: difffric identify {TDMS} --setup {fitted_setup}\n")
+    assert plain.endswith(f"with it.\n  difffric identify {TDMS} --setup {fitted_setup}\n")
+    assert "next:" not in plain
 
 
 def test_the_folder_holds_the_page_the_figures_and_the_set_up(fitted):
@@ -432,7 +433,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(run, tmp_path, command, kind, 
     ("arguments", "words"),
     [
         ((), ("Missing argument",)),
-        ((CSV,), ("--setup",)),
+        ((CSV,), ("--setup is missing", f"difffric init {CSV} writes one")),
         ((CSV, "--setup", SETUP, "--bogus"), ("--bogus",)),
         ((CSV, "--setup", SETUP, "--free", "k"), ("no such parameter: k", "k_N_per_m")),
         ((CSV, "--setup", SETUP, "--free", "mass_kg"), ("mass_kg", "said by the data")),

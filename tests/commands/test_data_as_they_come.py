@@ -207,7 +207,12 @@ def test_units_are_taken_as_they_are_where_that_is_asked_for(run, tmp_path):
 
 @pytest.mark.parametrize(
     ("option", "expected"),
-    [("force", "OURS=THEIRS"), ("=x", "OURS=THEIRS"), ("farce=x", "farce is unknown, known")],
+    [
+        ("force", "OURS=THEIRS"),
+        ("=x", "OURS=THEIRS"),
+        ("farce=x", "farce is unknown, known"),
+        ("kraft=force", "kraft is not ours; write it as force=kraft?"),
+    ],
 )
 def test_a_channel_that_says_nothing_is_refused(run, option, expected):
     data = EXAMPLES / "pushes.csv"

@@ -37,6 +37,13 @@ def test_a_set_up_is_written_that_a_fit_can_start_from(run, tmp_path, name):
     to = tmp_path / "setup.toml"
     code, said, _ = run("init", EXAMPLES / name, "--to", to, "--stroke-mm", 1.2)
     assert code == 0 and f"written to {to}" in said
+    assert "from the file: mass 18.9 kg\n" in said  # the stroke was given
+    assert "assumed, until you read your data sheets: sensitivity 11.2 mV/N, range 446 N" in said
+    assert (
+        "range_N = 446                 # assumed: put the value of your data sheet;"
+        in to.read_text()
+    )
+    assert "stroke_mm = 1.2               # given with --stroke-mm; " in to.read_text()
     setup = df.read_setup(to)
     assert float(setup.rig.mass) == TRUTH["mass_kg"] and float(setup.rig.pusher.stroke) == 1.2e-3
     for value, key in ((setup.rig.contact.k, "k_N_per_m"), (setup.rig.contact.b, "b_N_s_per_m")):
@@ -61,6 +68,21 @@ def test_foreign_names_go_into_the_set_up_and_a_mass_is_asked_for(run, tmp_path,
     assert setup.channels == {"velocity": "Geschwindigkeit", "force": "Kraft", "distance": "Weg"}
     read = df.load(data, channels=setup.channels, skip_bad=True)
     assert np.array_equal(read.velocity, df.load(EXAMPLES / "pushes.csv").velocity)
+
+
+def test_a_mass_that_the_file_contradicts_is_refused(run, tmp_path):
+    to = tmp_path / "setup.toml"
+    for given, words in (
+        (18900, "; was it meant in grams?"),
+        (12, ": expected the same, or no option"),
+    ):
+        code, _, said = run("init", EXAMPLES / "pushes.csv", "--to", to, "--mass-kg", given)
+        assert code == 2 and not to.exists()
+        assert said == f"difffric: --mass-kg {given}: the file says 18.9 kg{words}\n"
+    assert run("init", EXAMPLES / "pushes.csv", "--to", to, "--mass-kg", 18.85)[0] == 0
+    to.write_text(to.read_text().replace("mass_kg = 18.85", "mass_kg = 18900"))
+    code, _, said = run("check", EXAMPLES / "pushes.csv", "--setup", to)
+    assert code == 2 and "the set-up's mass looks like g, expected kg: write mass_kg = 18.9" in said
 
 
 def test_the_place_of_a_stroke_is_shown_where_nothing_says_it(run, tmp_path):

@@ -23,7 +23,15 @@ def test_numbers_are_shown_to_two_digits_of_their_error(value, error, shown):
 
 @pytest.mark.parametrize(
     ("arguments", "shown"),
-    [((1234.5,), "1234"), ((0.5, 3, "N"), "0.5 N"), ((None,), "–"), ((float("inf"),), "–")],
+    [
+        ((1234.5,), "1234"),
+        ((1894.2, 3, "µm"), "1890 µm"),
+        ((-11_912.0,), "-11910"),
+        ((802_345.0, 3), "8.02e+05"),
+        ((0.5, 3, "N"), "0.5 N"),
+        ((None,), "–"),
+        ((float("inf"),), "–"),
+    ],
 )
 def test_a_number_has_so_many_digits_and_its_unit(arguments, shown):
     assert format_number(*arguments) == shown

@@ -14,8 +14,9 @@ def test_checking_a_folder_makes_none(tmp_path):
 
 def test_a_file_is_no_folder(tmp_path):
     (tmp_path / "file").touch()
-    with pytest.raises(InputError, match="--out"):
-        check_writable(tmp_path / "file")
+    for folder in ("file", "file/in/it"):
+        with pytest.raises(InputError, match="file is a file; --out needs a folder"):
+            check_writable(tmp_path / folder)
 
 
 def test_a_folder_made_for_nothing_goes_again(tmp_path):

@@ -13,7 +13,11 @@ from difffric.errors import InputError
 from difffric.estimation.coordinates import Layout, layout, slope
 from difffric.estimation.descent import Model
 from difffric.estimation.fisher_information import design_data, information, responses
-from difffric.estimation.open_parameters import list_undetermined, open_units
+from difffric.estimation.open_parameters import (
+    describe_assumed_ratio,
+    list_undetermined,
+    open_units,
+)
 from difffric.estimation.restricted_likelihood import invert_information
 from difffric.measurements.pushes import Pushes
 from difffric.rig import parameters
@@ -115,6 +119,8 @@ def identifiable(
         notes.append(f"the set-up gives no scatter of mu_s: {100 * USUAL_SCATTER:g} % is assumed")
     if np.isnan(answers[:, 1]).any():
         notes.append(f"{int(np.isnan(answers[:, 1]).sum())} pushes give no sliding distance")
+    if "mu_s" in names and "mu_k_over_mu_s" not in names:
+        notes += describe_assumed_ratio(base, pushes)
     covariance = invert_information(X)
     v = pushes.release_velocity if pushes.free_slides else pushes.velocity
     unit = open_units(base, arranged.names, float(np.max(v)))

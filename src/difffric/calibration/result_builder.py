@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from difffric.calibration.result import Fit, FitState
 from difffric.estimation.coordinates import NOTHING, Layout
 from difffric.estimation.descent import Model, Settled, clip_starts, linearise_at, start_offsets
+from difffric.estimation.open_parameters import describe_assumed_ratio
 from difffric.estimation.stacked_data import RECORDINGS, FitData
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.reduction.reduce import Reduction
@@ -54,8 +55,11 @@ def build_fit(
     absurd = _find_absurd(model, at, freedom, reached)
     doubts = _note_doubts(data, at, freedom, reduction)
     notes = [*notes, *absurd, *doubts, *_note_bounded_starts(model, data, at, reduction)]
+    rig = parameters.with_values(setup.rig, _average_values(layout, at))
+    if "mu_s" in layout.names and "mu_k_over_mu_s" not in layout.names:
+        notes += describe_assumed_ratio(rig, pushes, np.exp(log_mu))
     return Fit(
-        rig=parameters.with_values(setup.rig, _average_values(layout, at)),
+        rig=rig,
         kind=data.kind,
         free=layout.labels,
         names=layout.names,

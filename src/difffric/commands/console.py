@@ -84,7 +84,8 @@ def print_and_write(
     timings: Timings | None = None,
     notes: Sequence[str] = (),
 ) -> None:
-    """Print the report's summary, tables and advice; write the folder where one was asked for.
+    """Print the report's summary and tables, write the folder where one was asked for, and print
+    what to do next.
 
     `notes`: what was converted as the data were read; they stand after the verdict, and in
     result.json. `files` are written beside result.json, report.html and the figures; `timings`,
@@ -109,16 +110,12 @@ def print_and_write(
         names = ", ".join(["result.json", "report.html", *(files or {}), "figures"])
         if not is_json_asked():
             open_console().print(f"written to {out}: {names}")
-
-
-def print_next(command: str) -> None:
-    """Print the command that comes next, in one line that can be copied."""
     if not is_json_asked():
-        open_console().print(f"next: {command}", soft_wrap=True)
+        _print_advice(report)
 
 
 def _print_report(report: Report) -> None:
-    """Print what a report says, within the terminal's width."""
+    """Print what a report found, within the terminal's width."""
     console = open_console()
     for line in report.summary:
         console.print(make_printable(line))
@@ -126,5 +123,12 @@ def _print_report(report: Report) -> None:
         for table in section.tables:
             for shown in lay_out(table.caption, table.columns, table.rows, console.width):
                 console.print(shown)
+
+
+def _print_advice(report: Report) -> None:
+    """Print what to do next, and the command for it in one line that can be copied."""
+    console = open_console()
     for line in report.advice:
         console.print(f"Next: {make_printable(line)}")
+    if report.command:
+        console.print(f"  {make_printable(report.command)}", soft_wrap=True)

@@ -17,7 +17,6 @@ from difffric.commands.fleet_options import (
     Scheduler,
     Workers,
     check_fleet,
-    check_setup,
     is_fleet,
 )
 from difffric.commands.options import (
@@ -25,10 +24,14 @@ from difffric.commands.options import (
     DataMass,
     Out,
     Quiet,
+    ReadOptions,
     SkipBad,
     TrustUnits,
+    check_setup,
+    format_command,
     load_data,
     read_setup_for,
+    sign_setup,
 )
 from difffric.errors import InputError
 
@@ -57,6 +60,7 @@ def diagnose(
 ) -> None:
     """Report what the simulation gets wrong, the cause, the extended model and what it gains."""
     check_out(out)
+    asked = ReadOptions(skip_bad, channel, trust_units, use_data_mass)
     if not 0 <= matters < 1:
         raise InputError(f"--matters: expected a share of mu_s from 0 to 1, got {matters:g}")
     if is_fleet(data, workers, scheduler):
@@ -66,7 +70,6 @@ def diagnose(
     if is_axis_file(file):
         from difffric.commands.axis import run  # pushes need none of it
 
-        asked = run.ReadOptions(skip_bad, channel, trust_units)
         return run.run_diagnose(data, file, matters, asked, out, quiet)
     check_setup_stays(out, file)
     rig = read_setup_for(file, channel)
@@ -82,8 +85,17 @@ def diagnose(
             tell=tell,
         )
         tell("drawing", 0.99)
-        report = reports.diagnose.report_diagnosis(found, pictures=out is not None)
-        files = None if out is None else {"setup.toml": df.rig.format_setup(found.setup).encode()}
+        go_on = format_command("identify", data, (out or Path("DIR")) / "setup.toml", asked)
+        report = reports.diagnose.report_diagnosis(found, go_on, pictures=out is not None)
+        files = (
+            None
+            if out is None
+            else {
+                "setup.toml": df.rig.format_setup(
+                    found.setup, signed=sign_setup("diagnose", data)
+                ).encode()
+            }
+        )
     print_and_write(report, found.as_dict(), out, files, tell.timings, loaded.notes)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -13,7 +15,6 @@ from difffric.commands.console import (
     check_out,
     check_setup_stays,
     print_and_write,
-    print_next,
     show_progress,
 )
 from difffric.commands.options import (
@@ -22,11 +23,15 @@ from difffric.commands.options import (
     DataMass,
     Out,
     Quiet,
+    ReadOptions,
     SetupOption,
     SkipBad,
     TrustUnits,
+    check_setup,
+    format_command,
     load_data,
     read_setup_for,
+    sign_setup,
 )
 from difffric.errors import InputError
 from difffric.known_so_far import tell_known
@@ -35,7 +40,7 @@ from difffric.number_text import format_pair
 
 def fit(
     data: Data,
-    setup: SetupOption,
+    setup: SetupOption = None,
     free: Annotated[
         list[str] | None,
         typer.Option(help="A free parameter; by default k, b, k_v and mu_s. Repeatable."),
@@ -74,6 +79,8 @@ def fit(
 ) -> None:
     """Calibrate on the data and report parameters, errors and what stays open."""
     check_out(out)
+    asked = ReadOptions(skip_bad, channel, trust_units, use_data_mass)
+    setup = check_setup(setup, data)
     if is_axis_file(setup):
         from difffric.commands.axis import run  # pushes need none of it
 
@@ -87,7 +94,6 @@ def fit(
         ):
             if given:
                 raise InputError(f"{option} is for pushes only: {setup} is the set-up of an axis")
-        asked = run.ReadOptions(skip_bad, channel, trust_units)
         return run.run_fit(data, setup, free or None, asked, out, quiet)
     check_setup_stays(out, setup)
     rig = read_setup_for(setup, channel)
@@ -118,12 +124,21 @@ def fit(
         answer = reports.fit.add_more(answer, profile, next_push, tell)
         tell("drawing", 0.99)
         report = reports.fit.report_fit(answer, pictures=out is not None)
+        then = reports.fit_summary.choose_command(found)
+        if then == "diagnose":
+            report = replace(
+                report, command=format_command(then, data, setup, asked, "--out", "DIR")
+            )
+        elif then:
+            fitted = (out or Path("DIR")) / "setup.toml"
+            report = replace(report, command=format_command(then, data, fitted, asked))
         files = (
             None
             if out is None
-            else {"setup.toml": df.rig.format_setup(found.fitted_setup).encode()}
+            else {
+                "setup.toml": df.rig.format_setup(
+                    found.fitted_setup, signed=sign_setup("fit", data)
+                ).encode()
+            }
         )
     print_and_write(report, answer.as_dict(), out, files, tell.timings, loaded.notes)
-    if out is not None and found.converged:
-        fitted = out / "setup.toml"
-        print_next(f"difffric identify {data} --setup {fitted}")

@@ -47,13 +47,3 @@ def check_fleet(data: Path, workers: int | None, scheduler: str | None, out: Pat
     if workers is not None and scheduler is not None:
         raise InputError("--workers and --scheduler: give one of them, not both")
     return out
-
-
-def check_setup(setup: Path | None, data: Path) -> Path:
-    """Return the set-up's file, which one rig's data need.
-
-    Raises `InputError` where none is given.
-    """
-    if setup is None:
-        raise InputError(f"--setup is missing: expected the set-up of the rig of {data}")
-    return setup

@@ -14,7 +14,6 @@ from difffric.commands.fleet_options import (
     Scheduler,
     Workers,
     check_fleet,
-    check_setup,
     is_fleet,
 )
 from difffric.commands.options import (
@@ -22,8 +21,10 @@ from difffric.commands.options import (
     DataMass,
     Out,
     Quiet,
+    ReadOptions,
     SkipBad,
     TrustUnits,
+    check_setup,
     load_data,
     read_setup_for,
 )
@@ -43,13 +44,13 @@ def identify(
 ) -> None:
     """Identify mu_s of each push every way that its measurements allow."""
     check_out(out)
+    asked = ReadOptions(skip_bad, channel, trust_units, use_data_mass)
     if is_fleet(data, workers, scheduler):
         return _identify_fleet(data, setup, use_data_mass, workers, scheduler, out, quiet)
     file = check_setup(setup, data)
     if is_axis_file(file):
         from difffric.commands.axis import run  # pushes need none of it
 
-        asked = run.ReadOptions(skip_bad, channel, trust_units)
         return run.run_identify(data, file, asked, out, quiet)
     rig = read_setup_for(file, channel)
     loaded = load_data(data, rig, skip_bad, trust_units)

@@ -17,6 +17,7 @@ from difffric.commands.options import (
     Quiet,
     SetupOption,
     SkipBad,
+    check_setup,
     read_setup_for,
     require_positive,
 )
@@ -28,7 +29,7 @@ def monitor(
     data: Annotated[
         list[Path], typer.Argument(help="Pushes in time order, .csv or .tdms.", show_default=False)
     ],
-    setup: SetupOption,
+    setup: SetupOption = None,
     state: Annotated[
         Path | None, typer.Option(help="File that keeps what is known until the next run.")
     ] = None,
@@ -54,7 +55,7 @@ def monitor(
     require_positive("--idle-s", idle_s)
     if follow and len(data) != 1:
         raise InputError(f"--follow: expected one .tdms, got {len(data)} files")
-    known = read_setup_for(setup, channel)
+    known = read_setup_for(check_setup(setup, data[0]), channel)
     feed = df.monitoring.feed.Feed(known, arl=arl, state=state)
     with show_progress(quiet) as tell:
         if follow:

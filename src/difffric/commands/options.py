@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +13,7 @@ import typer
 import difffric as df
 from difffric.axis.files.file_kind import is_axis_file
 from difffric.errors import InputError
+from difffric.name_text import make_printable
 from difffric.units import from_mm
 
 if TYPE_CHECKING:
@@ -19,7 +22,12 @@ if TYPE_CHECKING:
 Setup = Annotated[Path, typer.Argument(help="The set-up, a setup.toml.", show_default=False)]
 Data = Annotated[Path, typer.Argument(help="Measured data, .csv or .tdms.", show_default=False)]
 SetupOption = Annotated[
-    Path, typer.Option("--setup", help="The set-up, a setup.toml.", show_default=False)
+    Path | None,
+    typer.Option(
+        "--setup",
+        help="The set-up, a setup.toml, which is needed; init writes a first one.",
+        show_default=False,
+    ),
 ]
 DataMass = Annotated[
     bool, typer.Option("--use-data-mass", help="Accept masses that differ from the set-up's.")
@@ -47,6 +55,16 @@ Out = Annotated[
 Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress on standard error.")]
 
 
+@dataclass(frozen=True)
+class ReadOptions:
+    """How measured data are to be read, as the options say it."""
+
+    skip_bad: bool = False
+    channel: Sequence[str] | None = None
+    trust_units: bool = False
+    use_data_mass: bool = False
+
+
 def require_positive(name: str, value: float | None) -> float | None:
     """Return an option's value; None, where it was not given, goes through.
 
@@ -55,6 +73,19 @@ def require_positive(name: str, value: float | None) -> float | None:
     if value is not None and not 0 < value < float("inf"):
         raise InputError(f"{name}: expected a number > 0, got {value:g}")
     return value
+
+
+def check_setup(setup: Path | None, data: Path) -> Path:
+    """Return the set-up's file, which one rig's data need.
+
+    Raises `InputError` where none is given.
+    """
+    if setup is None:
+        raise InputError(
+            f"--setup is missing: expected the set-up of the rig of {data}; difffric init {data} "
+            "writes one"
+        )
+    return setup
 
 
 def read_setup_for(setup: Path, channel: list[str] | None) -> df.Setup:
@@ -117,6 +148,31 @@ def load_data(
     if trust_units:
         return loaded
     return replace(loaded, notes=(*loaded.notes, *refuse_wrong_units(loaded, setup.rig)))
+
+
+def format_command(
+    command: str,
+    data: Path,
+    setup: Path,
+    asked: ReadOptions,
+    *rest: str,
+) -> str:
+    """Return what to type for a command on the same data, read in the same way."""
+    words = ["difffric", command, str(data), "--setup", str(setup)]
+    for option, given in (
+        ("--skip-bad", asked.skip_bad),
+        ("--trust-units", asked.trust_units),
+        ("--use-data-mass", asked.use_data_mass),
+    ):
+        words += [option] * given
+    for names in asked.channel or ():
+        words += ["--channel", names]
+    return shlex.join([*words, *rest])
+
+
+def sign_setup(command: str, data: Path) -> str:
+    """Return the line in which a command signs for a set-up that it has calibrated on data."""
+    return f"Calibrated on {make_printable(data.name)} by difffric {command}."
 
 
 def load_motions(data: Path, setup: df.Setup) -> df.Recordings:

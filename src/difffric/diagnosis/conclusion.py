@@ -186,7 +186,13 @@ def conclude(found: Findings, tell: Tell) -> Diagnosis:
         certificates=found.certificates,
         negligible=(
             *_describe_causes(found, slight, whole),
-            *(found.describe(one.best, one.without, one.best.fits) for one in found.negligible),
+            *(
+                replace(
+                    found.describe(one.best, one.without, one.best.fits),
+                    probability=one.probability,
+                )
+                for one in found.negligible
+            ),
         ),
         location=location,
         gain=gain,

@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 
 from difffric.estimation import held_out
 from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.measurements.noise import KNOWN_TO
 
 FLOOR = 1e-3
 """Probability below which what fits leave of held-out pushes is more than noise."""
-_NOISE_KNOWN = 0.02
-"""Relative error of the noise's standard deviation, which is estimated itself from the quiet
-samples: a held-out error above the floor by no more is at it."""
 _MOST_FOLDS = 20
 """Folds at most: each push is one of its own up to so many pushes."""
 
@@ -95,7 +93,7 @@ class CrossValidation:
         weight = numbers / np.maximum(found.expected, numbers)
         mean = float((weight * found.expected).sum())
         variance = float((weight**2 * found.variance).sum())
-        left = float((weight * found.penalised).sum()) / (1 + _NOISE_KNOWN) ** 2
+        left = float((weight * found.penalised).sum()) / (1 + KNOWN_TO) ** 2
         # A multiple of chi-square with the same mean and variance.
         scale = 0.5 * variance / mean
         return float(scipy.stats.chi2.sf(left / scale, mean / scale))

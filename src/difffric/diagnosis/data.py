@@ -192,12 +192,17 @@ def _list_impossible(
     if span == 0 or len(measured) < _FEWEST_FOR_DRIFT:
         out["friction_drift"] = "too few pushes to show a drift"
     if np.ptp(mass) < _SAME * mass.max():
-        out["normal_force"] = "every push had the same mass: a normal force is one with mu_s"
+        out["normal_force"] = (
+            "every push had the same mass: it cannot be told from mu_s unless the mass varies"
+        )
     if measured.motion is not None:
         out |= dict.fromkeys(_PUSHERS, "the pusher's motion is the recorded one")
     if reduction is not None:
         for name in NOT_IN_RECORDINGS:
-            out[name] = "recordings hold the samples themselves"
+            out[name] = (
+                "recordings hold all samples: only tables whose F_p and d another program read off "
+                "can show this"
+            )
     for component, there, what in (
         (FORCE, measured.peak_force, "force"),
         (PROBE, measured.sliding_distance, "position"),

@@ -19,6 +19,7 @@ from difffric.diagnosis.misfit import Misfit
 from difffric.diagnosis.next_experiment import Experiment
 from difffric.estimation import ensemble
 from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.number_text import format_number
 from difffric.rig.catalogue import CATALOGUE, RATIO, component_of, numbers_of
 from difffric.rig.rig import Rig
 from difffric.rig.setup import Setup
@@ -35,8 +36,8 @@ class Cause:
     component: str
     text: str
     """what a person reads"""
-    probability: float
-    """among the effects of the catalogue, one more being there"""
+    probability: float | None
+    """among the effects of the catalogue, one more being there; None: it was not compared"""
     confusable_with: tuple[str, ...]
     """effects that explain nearly as much"""
     parameters: dict[str, tuple[float, float]]
@@ -205,7 +206,8 @@ class Diagnosis:
             alike = ", ".join(cause.confusable_with)
             lines.append(
                 f"    {cause.id} ({cause.component}): {cause.text}; probability "
-                f"{cause.probability:.2f}" + (f", confusable with {alike}" if alike else "")
+                f"{format_number(cause.probability, 2)}"
+                + (f", confusable with {alike}" if alike else "")
             )
             for name, (value, error) in cause.parameters.items():
                 sure = f"+/- {error:.2g}" if isfinite(error) else "(error not determined)"
@@ -214,7 +216,7 @@ class Diagnosis:
         g = self.gain
         lines.append(
             f"    error on held-out pushes, in units of the noise: {g.before:.3g} before, "
-            f"{g.after:.3g} after ({g.noise_floor:.3g} is perfect)"
+            f"{g.after:.3g} after; the noise floor is {g.noise_floor:.3g}"
         )
         if self.location:
             where = self.location
@@ -252,7 +254,7 @@ def describe_cause(
         id=effect,
         component=component_of(effect),
         text=_RATIO_TEXT if effect == RATIO else CATALOGUE[effect].text,
-        probability=1.0,
+        probability=None,
         confusable_with=tuple(alike),
         parameters=dict(zip(keys, pairs, strict=True)),
         chi2_drop=candidate.drop,

@@ -13,9 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.estimation.coordinates import to_coordinate
+from difffric.estimation.push_rigs import make_push_rigs
+from difffric.measurements.pushes import Pushes
+from difffric.number_text import format_number
 from difffric.rig import parameters
 from difffric.rig.parameters import PARAMETERS
 from difffric.rig.rig import Rig
+from difffric.simulation.columns import observe_columns, serves
+from difffric.units import to_mm_min
 
 SHARE = 0.25
 """k_v is open where one standard error of k_v v exceeds this share of the sliding friction."""
@@ -25,6 +30,11 @@ _PART = 0.05
 """What moves by less than this many units, for one of the first, is left out of the words."""
 
 _K_V = "k_v_N_s_per_m"
+_RATIO = "mu_k_over_mu_s"
+_OTHER = 1.001
+"""By how much mu_s is changed, mu_k staying, to see whether anything measured depends on it."""
+_SAME = 1e-9
+"""Relative change of F_p and d that is rounding."""
 
 
 def open_units(rig: Rig, names: Sequence[str], fastest: float) -> NDArray:
@@ -41,6 +51,55 @@ def open_units(rig: Rig, names: Sequence[str], fastest: float) -> NDArray:
         open_from = float(to_coordinate(_K_V, SHARE * friction / fastest))
         out[[name == _K_V for name in names]] = open_from
     return out
+
+
+def describe_assumed_ratio(
+    rig: Rig, pushes: Pushes, mu_s: NDArray | None = None
+) -> tuple[str, ...]:
+    """Say that these n pushes tell mu_k alone, where they do, so that mu_s rests on the ratio of
+    both that the rig holds; else nothing, also of a rig that cannot be followed in columns.
+
+    `mu_s` (n,) is that of each push, and NaN where only the rig says it.
+    """
+    at_all = (
+        rig if mu_s is None else parameters.with_values(rig, {"mu_s": _find_typical(rig, mu_s)})
+    )
+    ratio = (
+        f"mu_s = mu_k / {float(parameters.values(rig)[_RATIO]):.4g} uses the ratio of the set-up"
+    )
+    if pushes.free_slides:
+        return (f"free slides tell mu_k alone; {ratio}",)
+    rigs = make_push_rigs(rig, pushes)
+    if mu_s is not None:
+        own = np.where(np.isnan(mu_s), parameters.values(rigs)["mu_s"], mu_s)
+        rigs = parameters.with_values(rigs, {"mu_s": own})
+    if not serves(rigs):
+        return ()
+    known = parameters.values(rigs)
+    other = {"mu_s": _OTHER * known["mu_s"], _RATIO: known[_RATIO] / _OTHER}
+    seen = observe_columns(rigs, pushes.velocity)
+    moved = observe_columns(parameters.with_values(rigs, other), pushes.velocity)
+    for name in ("peak_force", "sliding_distance"):
+        pair = getattr(seen, name), getattr(moved, name)
+        if not np.allclose(*pair, rtol=_SAME, atol=0.0, equal_nan=True):
+            return ()
+    below = format_number(to_mm_min(find_sticking_speed(at_all)), 2)
+    return (
+        f"no push sticks before it slides, so these data tell mu_k alone; {ratio}. A push slower "
+        f"than about {below} mm/min would tell mu_s itself",
+    )
+
+
+def _find_typical(rig: Rig, mu_s: NDArray) -> float:
+    """Return the median of the pushes' mu_s, or the rig's own where none is known."""
+    known = mu_s[np.isfinite(mu_s)]
+    return float(np.median(known)) if len(known) else float(parameters.values(rig)["mu_s"])
+
+
+def find_sticking_speed(rig: Rig) -> float:
+    """Return the speed [m/s] below which a push sticks before it slides: up to there the damper's
+    force at first touch, b v, does not reach mu_s F_N."""
+    return float(rig.friction.breakaway(rig.F_N) / rig.contact.approach(0.0, 1.0))
 
 
 def list_undetermined(

@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from difffric.estimation import coordinates
+from difffric.estimation.open_parameters import describe_assumed_ratio
 from difffric.identification.agreement import describe_agreement, judge_recording
 from difffric.identification.combination import combine
 from difffric.identification.estimates import NONE, Estimates, Identified, PushFriction
 from difffric.identification.free_slide import estimate_by_slides
-from difffric.identification.inversion import BRACKET
+from difffric.identification.inversion import BRACKET, Inversion
 from difffric.identification.resolved_pushes import Calibration, ResolvedPushes
 from difffric.known_so_far import tell_known
 from difffric.measurements.checks import check_data
@@ -92,6 +93,8 @@ def identify(
         answers = [PushFriction(np.nan, c, *nothing) for c in pushes.condition]
     else:
         force, distance = resolved.invert(bracket)
+        if reduction is not None:
+            distance = _explain_missing(distance, pushes, reduction)
         gradient, regimes = resolved.differentiate(force, distance)
         combination = combine(resolved, force, distance, gradient, regimes)
         answers = [combination.row(i) for i in range(len(pushes))]
@@ -106,7 +109,21 @@ def identify(
         notes += describe_motion(reduction.recordings)
         notes += describe_tracking(reduction.recordings, known.rig.pusher.stroke)
         notes += describe_latch(reduction)
+    if "mu_k_over_mu_s" not in known.names:
+        mu_s = np.array([np.nan if x.best.value is None else x.best.value for x in answers])
+        notes += describe_assumed_ratio(known.rig, pushes, mu_s)
     return Identified(tuple(answers), pushes.skipped, notes)
+
+
+def _explain_missing(
+    distance: Sequence[Inversion], pushes: Pushes, reduction: Reduction
+) -> list[Inversion]:
+    """What the distances say of mu_s; where the reduction gives none, with its own reason."""
+    missing = np.isnan(pushes.sliding_distance)
+    return [
+        replace(x, reason=one.reason) if none and one.reason else x
+        for x, none, one in zip(distance, missing, reduction.details, strict=True)
+    ]
 
 
 def _describe_known(answers: Sequence[PushFriction]) -> tuple[str, list[dict]]:

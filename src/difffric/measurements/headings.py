@@ -128,16 +128,13 @@ def resolve_channels(
     """(name in the file -> what it was said to mean, what is wrong with `channels`).
 
     `channels` has the name in the file by our own name; a name in the file may be given without
-    its unit, or, for a column, by its number from 1. What other kinds of files have is passed
-    over.
+    its unit, or, for a column, by its number from 1. What `known` has not is passed over:
+    `find_unknown` tells it.
     """
     meanings: dict[str, str] = {}
     problems: list[str] = []
     for ours, theirs in channels.items():
         if find_quantity(ours, known) is None:
-            if find_quantity(ours, OF_ANY_FILE) is None:
-                listed = ", ".join(q.stem for q in known)
-                problems.append(f"channel {ours} = {theirs!r}: {ours} is unknown, known: {listed}")
             continue
         found = _find_named(theirs, names)
         if found is None:
@@ -148,6 +145,21 @@ def resolve_channels(
         else:
             meanings[found] = ours
     return meanings, problems
+
+
+def find_unknown(channels: Mapping[str, str], known: Sequence[MeasuredQuantity]) -> list[str]:
+    """What is wrong with the names of `channels` that are to be ours: neither files with `known`
+    quantities have them, nor other kinds of files."""
+    problems = []
+    for ours, theirs in channels.items():
+        if find_quantity(ours, (*known, *OF_ANY_FILE)) is not None:
+            continue
+        if find_quantity(theirs, known) is not None:
+            remedy = f"is not ours; write it as {theirs}={ours}?"
+        else:
+            remedy = f"is unknown, known: {', '.join(q.stem for q in known)}"
+        problems.append(f"channel {ours} = {theirs!r}: {ours} {remedy}")
+    return problems
 
 
 def _find_named(theirs: str, names: Sequence[str]) -> str | None:

@@ -20,6 +20,9 @@ from difffric.measurements.recordings import Channel, Recordings
 
 SHORTEST = 16
 """Samples that a quiet stretch must have to say anything of the noise."""
+KNOWN_TO = 0.02
+"""Relative error of the noise's standard deviation, which is estimated itself: residuals that are
+larger than the noise by no more say nothing against a model."""
 LONGEST = 1 << 18  # samples read of a quiet stretch: more would not say more
 _SIGNIFICANT = 2.58  # standard deviations (1 %) from which a correlation is believed
 _MOST = 0.999  # of |φ|: at 1 the process would not be stationary

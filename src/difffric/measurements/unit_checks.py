@@ -150,19 +150,24 @@ def _refuse_no_force(data: Recordings, source: str) -> None:
 def find_wrong_units(data: Pushes, rig: Rig, *, of_recordings: bool = False) -> list[Suspicion]:
     """Columns of a table whose unit seems to be wrong, by the physics and the set-up.
 
-    A mass that is the set-up's in grams; else, where reach or load are off, the other unit of a
-    column that brings both back, in one line, with what else would do. `of_recordings`: the numbers
-    are taken off recordings, whose remedy is another.
+    A mass in grams, of the data or of the set-up; else, where reach or load are off, the other unit
+    of a column that brings both back, in one line, with what else would do. `of_recordings`: the
+    numbers are taken off recordings, whose remedy is another.
     """
     own = float(rig.mass)
     masses = data.mass[np.isfinite(data.mass)]
     for factor, words in (
         (1e-3, "masses look like g, expected kg: call it mass_g"),
-        (1e3, "masses look like t, expected kg: write them in kg"),
+        (
+            1e3,
+            "the set-up's mass looks like g, expected kg: write mass_kg = "
+            f"{masses[0] if len(masses) else own:.6g}",
+        ),
     ):
         if len(masses) and np.all(abs(masses * factor - own) <= _MASS_AGREES * own):
-            said = f"({masses[0]:.6g} where the set-up has mass_kg = {own:.6g})"
-            return [Suspicion(f"{words} {said}", True)]
+            other = "the set-up's is" if factor < 1 else "those of the data are"
+            said = f"the data have {masses[0]:.6g} kg and the set-up mass_kg = {own:.6g}"
+            return [Suspicion(f"{words}, unless {other} in t ({said})", True)]
     reach, load = _measure(data, rig)
     low, high = _find_friction_bounds(data)
     far = reach > _REACH[1] and high < _LEAST_MU

@@ -35,7 +35,7 @@ from difffric.rig.quantities import (
     has_plain_law,
     layers,
 )
-from difffric.rig.rig import Rig
+from difffric.rig.rig import Rig, spring_damper_rig
 from difffric.rig.setup import Extras, Setup
 from difffric.rig.setup_schema import FILES, iterate_entries, validate_document
 
@@ -181,18 +181,53 @@ def write_setup(setup: Setup | Rig, path: str | os.PathLike) -> None:
     write_whole(path, lambda file: file.write(text.encode("utf-8")))
 
 
-def format_setup(setup: Setup, name: str = "setup.toml", template: str = "") -> str:
+def format_setup(
+    setup: Setup, name: str = "setup.toml", template: str = "", signed: str = ""
+) -> str:
     """The text of a set-up's file, with the comments and the layout of the text that the set-up
     was read from, or else of `template`.
+
+    With `signed`, the line in which a command that fits signs for the numbers, each number that
+    differs from that text is said to be fitted, whatever was said of the one that it replaces.
 
     Raises `InputError` for what the format cannot say, a line each, led by the file's `name`.
     """
     # Not at the top: to read a set-up, as most commands do, takes no tomlkit (60 ms).
-    from difffric.rig.toml_layout import lay_out
+    from difffric.rig.toml_layout import lay_out, mark_fitted, sign
 
-    tables = _format_tables(setup, name)
+    tables, text = _format_tables(setup, name), setup.text or template
     parse_setup(lay_out(tables), name)
-    return lay_out(tables, setup.text or template)
+    if text:
+        tables = _leave_out_usual(tables, text)
+    if not signed:
+        return lay_out(tables, text)
+    before = _format_tables(parse_setup(text), name) if text else {}
+    return sign(lay_out(tables, text, mark_fitted(tables, before)), signed)
+
+
+def _leave_out_usual(tables: dict[str, dict[str, str]], text: str) -> dict[str, dict[str, str]]:
+    """The tables without what goes without saying, and was not said in an earlier text either."""
+    try:
+        said = tomllib.loads(text)
+    except ValueError:  # it is no TOML
+        return tables
+    usual = _format_tables(Setup(spring_damper_rig(mass=1.0, mu_s=1.0, k=1.0, b=0.0)), "")
+
+    def is_said(section: str, key: str) -> bool:
+        home: Any = said
+        for part in section.split("."):
+            home = home.get(part, {}) if isinstance(home, dict) else {}
+        return isinstance(home, dict) and key in home
+
+    kept = {
+        section: {
+            key: x
+            for key, x in table.items()
+            if is_said(section, key) or usual.get(section, {}).get(key) != x
+        }
+        for section, table in tables.items()
+    }
+    return {section: table for section, table in kept.items() if table}
 
 
 def _format_tables(setup: Setup, name: str) -> dict[str, dict[str, str]]:

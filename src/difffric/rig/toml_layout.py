@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Mapping
 from decimal import Decimal
@@ -10,16 +11,45 @@ from typing import Any
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
+Comments = Mapping[str, Mapping[str, str]]
+"""Name of a table -> key -> what is said of the value, in place of what was said of another one."""
 
-def lay_out(tables: Mapping[str, Mapping[str, str]], template: str = "") -> str:
+_SIGNED = re.compile(r"# .* by difffric \w+\.\s*")
+"""The first line of a set-up whose numbers a command has made."""
+
+
+def sign(text: str, line: str) -> str:
+    """The text of a file under a line in which a command signs for its numbers, in place of what
+    an earlier command has signed."""
+    lines = text.splitlines(keepends=True)
+    above = next((i for i, x in enumerate(lines) if not x.startswith("#")), len(lines))
+    head = [x for x in lines[:above] if not _SIGNED.fullmatch(x)]
+    gap = [] if head or not lines[above:] or not lines[above].strip() else ["\n"]
+    return "".join([f"# {line}\n", *head, *gap, *lines[above:]])
+
+
+def mark_fitted(
+    tables: Mapping[str, Mapping[str, str]], before: Mapping[str, Mapping[str, str]]
+) -> Comments:
+    """What is said of each value that differs from the one before: that it is fitted."""
+    return {
+        name: {key: "fitted" for key, x in table.items() if before.get(name, {}).get(key) != x}
+        for name, table in tables.items()
+    }
+
+
+def lay_out(
+    tables: Mapping[str, Mapping[str, str]], template: str = "", comments: Comments | None = None
+) -> str:
     """The text that says these tables (name -> key -> text of the value) and nothing else.
 
     Where a template's own layout cannot carry them, its comments are lost.
     """
-    plain = _write_into(tomlkit.document(), tables, {})
+    words = comments or {}
+    plain = _write_into(tomlkit.document(), tables, {}, words)
     if template:
         try:
-            kept = _write_into(tomlkit.parse(template), tables, _read(template))
+            kept = _write_into(tomlkit.parse(template), tables, _read(template), words)
             if _read(kept) == _read(plain):
                 return kept
         except (TOMLKitError, ValueError, ArithmeticError, TypeError, AttributeError, LookupError):
@@ -33,7 +63,10 @@ def _read(text: str) -> dict[str, Any]:
 
 
 def _write_into(
-    document: Any, tables: Mapping[str, Mapping[str, str]], old: Mapping[str, Any]
+    document: Any,
+    tables: Mapping[str, Mapping[str, str]],
+    old: Mapping[str, Any],
+    comments: Comments,
 ) -> str:
     """The text of a document with these tables in place of its `old` ones."""
     _drop_others(document, tables)
@@ -47,6 +80,9 @@ def _write_into(
         if last not in home:
             home[last] = tomlkit.table()
         _fill(home[last], values, said.get(last, {}))
+        for key, words in comments.get(name, {}).items():
+            trivia = home[last][key].trivia
+            trivia.comment_ws, trivia.comment = "  ", f"# {words}"
     return tomlkit.dumps(document)
 
 

@@ -90,3 +90,9 @@ class Reason(_Code):
 def explain(reason: int) -> str | None:
     """The text of a reason, by its code; None where nothing is missing."""
     return None if reason == Reason.OK else Reason(int(reason)).text
+
+
+def word_reason(reason: str) -> str:
+    """A reason as `result.json` has it, in words for a person."""
+    words = "the part stayed in contact, so there is no d"
+    return reason.replace(Reason.RESTS_IN_CONTACT.text, words)

@@ -1,5 +1,6 @@
 """Files of an axis: what they say is read, and what is wrong with them is one clear line."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,9 @@ def test_a_set_up_comes_back_with_its_comments():
     text = format_axis(axis)
     assert parse_axis(text) == axis
     assert "# a linear axis" in text
+    fitted = format_axis(replace(axis, mass=96.0), "Calibrated on a.csv by difffric fit.")
+    assert fitted.startswith("# Calibrated on a.csv by difffric fit.\n")
+    assert "mass_kg = 96.0  # fitted\n" in fitted and fitted.count("fitted") == 1
 
 
 def test_all_that_is_wrong_with_a_set_up_is_named_at_once():

@@ -10,6 +10,8 @@ import pytest
 import difffric as df
 from difffric.calibration.identifiability import identifiable
 from difffric.errors import InputError
+from difffric.estimation.open_parameters import find_sticking_speed
+from difffric.number_text import format_number
 from tests.reference import data as reference
 from tests.unit.calibration.designs import ALL, CALIBRATED, FAST, PAPER, TRUTH, make_setup
 
@@ -30,6 +32,27 @@ def test_before_any_push_mu_s_is_not_apart_from_mu_k_where_nothing_sticks():
     assert identifiable(rig, slow, free=ALL, noise=noise).not_identifiable == []
 
 
+def test_mu_s_that_rests_on_the_ratio_alone_is_said():
+    """The error of mu_s alone hides that no push shows it: the set-up's ratio makes it of mu_k."""
+    rig = df.spring_damper_rig(**PAPER)
+    fast, slow = np.array(FAST), np.array([*FAST, 0.008, 0.01])  # the last two stick first
+    said = [note for note in identifiable(rig, df.Pushes(velocity=fast)).notes if "mu_k" in note]
+    edge = find_sticking_speed(rig)
+    assert len(said) == 1 and "no push sticks before it slides" in said[0]
+    assert f"about {format_number(60e3 * edge, 2)} mm/min" in said[0] and "mu_k / 0.75" in said[0]
+    for v, sticks in ((0.99 * edge, True), (1.01 * edge, False)):
+        assert bool(df.observe(rig, v).stuck_first) is sticks
+    free = ("mu_s", "mu_k_over_mu_s")
+    for design in (
+        {"pushes": df.Pushes(velocity=slow)},
+        {"pushes": df.Pushes(velocity=fast), "free": free},
+    ):
+        assert not any("mu_k" in note for note in identifiable(rig, **design).notes)
+    exact = df.observe_batch(rig, fast)
+    pushes = df.Pushes(fast, exact.peak_force, exact.sliding_distance)
+    assert any("no push sticks" in note for note in df.identify(rig, pushes).notes)
+
+
 def test_after_the_fit_mu_s_is_not_apart_from_mu_k_where_nothing_sticks():
     rng = np.random.default_rng(2)
     made = reference.make_pushes(replace(TRUTH, b=6000.0), rng, 14, speeds=FAST)
@@ -40,6 +63,9 @@ def test_after_the_fit_mu_s_is_not_apart_from_mu_k_where_nothing_sticks():
     assert set(group["parameters"]) == {"mu_s", "mu_k_over_mu_s"}
     assert "traded off" in group["reason"]
     assert "up 1 %" in group["reason"] and "down 1 %" in group["reason"]
+    assert not any("no push sticks" in note for note in fit.notes)
+    held = df.fit(known, pushes, several_starts=False)
+    assert any("no push sticks" in note for note in held.notes)
 
 
 def test_one_speed_and_no_force_leave_parameters_open():

@@ -8,23 +8,26 @@ import numpy as np
 import pytest
 
 import difffric as df
+from difffric.calibration.identifiability import identifiable
+from difffric.commands.reports.check import examine, report_check
 from difffric.commands.reports.identify import describe_friction, report_friction
 from difffric.identification.agreement import describe_agreement, judge_recording
 from difffric.identification.estimates import NONE, Estimate, PushFriction
 from difffric.measurements.recordings import Channel, Recording, Recordings
+from difffric.rig.setup import Setup
 from tests.reference import traces
 
 RATE, SPEED, STROKE = 250.0, 2e-4, 1.4e-3
 RIG = {"mass": 0.1, "k": 1000.0, "b": 2.0, "k_v": 0.0, "mu_k_over_mu_s": 0.8, "stroke": STROKE}
 
 
-def record_break_aways(creep, n=4, seed=1):
+def record_break_aways(creep, n=4, seed=1, damping=2.0):
     """(recordings, each one's mu_s) of a block that breaks away behind a spring of 1000 N/m at
     0.2 mm/s; its probe sees it creep this far [m] before, which the model does not know."""
     rng, found, mu_s = np.random.default_rng(seed), [], []
     for i in range(n):
         mu_s.append(1.07 * np.exp(0.005 * rng.standard_normal()))
-        course = traces.follow(0.1, mu_s[-1], 0.8, 0.0, 1000.0, 2.0, SPEED, STROKE)
+        course = traces.follow(0.1, mu_s[-1], 0.8, 0.0, 1000.0, damping, SPEED, STROKE)
         t = np.arange(-0.5, course.end + 0.5, 1 / RATE) + 0.7e-3
         force, x, _ = course(t)
         share = np.clip(force / course.peak_force, 0, 1)
@@ -62,6 +65,22 @@ def test_recordings_that_the_model_follows_are_taken_as_they_are():
     assert {push.best_way for push in found} == {"mu_s_trace"}
     np.testing.assert_allclose(found.values("mu_s_trace"), mu_s, rtol=1e-4)
     assert not any("fit" in note for note in found.notes)
+
+
+def test_a_part_that_stays_in_contact_is_told_alike_by_all():
+    """One reason in result.json, of a recording that shows it, and one sentence on the screen."""
+    recordings, _ = record_break_aways(0.0, n=2, damping=60.0)
+    rig = df.spring_damper_rig(**{**RIG, "b": 60.0}, mu_s=1.0)
+    found = df.identify(rig, recordings)
+    assert [push.reason for push in found] == 2 * ["rests in contact"]
+    report = report_friction(found, describe_friction(found, rig), recordings, pictures=False)
+    table = report.sections[0].tables[0]
+    assert table.caption == "mu_s of each push; the best estimate: whole recording"
+    assert "rests in contact" not in table.rows[0][-1]
+    setup = Setup(rig)
+    checked = examine(recordings, setup)
+    told = report_check(checked, identifiable(rig, checked.pushes), setup, pictures=False)
+    assert told.sections[1].tables[0].rows[0][-1] == table.rows[0][-1]
 
 
 def push(trace, chi2, optimal=NONE):

@@ -579,6 +579,38 @@ def test_the_layout_of_any_file_carries_any_setup(rig, extras):
             assert comment[comment.index("#") :] in text
 
 
+def test_what_a_command_has_fitted_is_signed_and_said():
+    """In place of what the file said of other numbers; what is not fitted keeps its words."""
+    first = "# Rig 7\n# A first set-up for a.csv, which a fit starts from, by difffric init.\n\n"
+    text = (
+        first
+        + """[part]
+mass_kg = 18.9  # weighed
+
+[friction]
+mu_s = 0.1  # a guess
+
+[contact]
+k_N_per_m = 1e5  # a guess
+b_N_s_per_m = 10  # damper
+"""
+    )
+    known = parse_setup(text)
+    rig = dataclasses.replace(known.rig, friction=dataclasses.replace(known.rig.friction, mu_s=0.2))
+    extras = {"k_N_per_m": Extras(standard_error=5.0)}
+    fitted = dataclasses.replace(known, rig=rig, extras=extras, mu_s_scatter=0.02)
+    signed = format_setup(fitted, signed="Calibrated on a.csv by difffric fit.")
+    assert parse_setup(signed) == fitted
+    assert signed == text.replace(
+        first, "# Calibrated on a.csv by difffric fit.\n# Rig 7\n\n"
+    ).replace("0.1  # a guess\n", "0.2  # fitted\nmu_s_scatter = 0.02  # fitted\n").replace(
+        "1e5  # a guess", "{ value = 100000.0, standard_error = 5.0 }  # fitted"
+    )
+    again = format_setup(parse_setup(signed), signed="Calibrated on b.csv by difffric diagnose.")
+    assert again == signed.replace("a.csv by difffric fit", "b.csv by difffric diagnose")
+    assert "rate_Hz" not in signed  # which goes without saying
+
+
 def test_jax_and_numpy_numbers_are_written(tmp_path):
     path = tmp_path / "setup.toml"
     write_setup(

@@ -121,10 +121,23 @@ def parse_axis(text: str, name: str = "setup.toml") -> AxisSetup:
     return AxisSetup(**plain, effects=found, extras=extras, channels=names, text=text)
 
 
-def format_axis(setup: AxisSetup) -> str:
-    """The text of an axis' file, with comments and layout of the one that it was read from."""
-    from difffric.rig.toml_layout import lay_out  # tomlkit comes with it
+def format_axis(setup: AxisSetup, signed: str = "") -> str:
+    """The text of an axis' file, with comments and layout of the one that it was read from.
 
+    With `signed`, the line in which a command that fits signs for the numbers, each number that
+    differs from that text is said to be fitted.
+    """
+    from difffric.rig.toml_layout import lay_out, mark_fitted, sign  # tomlkit comes with it
+
+    tables = _format_tables(setup)
+    if not signed:
+        return lay_out(tables, setup.text)
+    before = _format_tables(parse_axis(setup.text)) if setup.text else {}
+    return sign(lay_out(tables, setup.text, mark_fitted(tables, before)), signed)
+
+
+def _format_tables(setup: AxisSetup) -> dict[str, dict[str, str]]:
+    """Table -> key -> the value's text."""
     tables: dict[str, dict[str, str]] = {section: {} for section in _SECTIONS}
     for number in NUMBERS:
         value = getattr(setup, number.attribute)
@@ -139,7 +152,7 @@ def format_axis(setup: AxisSetup) -> str:
             for key, value in keys.items()
         }
     tables[_FILES] = {k: json.dumps(x, ensure_ascii=False) for k, x in setup.channels.items()}
-    return lay_out({name: table for name, table in tables.items() if table}, setup.text)
+    return {name: table for name, table in tables.items() if table}
 
 
 def _find_strangers(document: Mapping[str, Any]) -> list[str]:

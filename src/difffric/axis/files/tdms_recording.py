@@ -18,6 +18,7 @@ from difffric.measurements.headings import (
     ask_for_names,
     find_quantity,
     find_unit_of,
+    find_unknown,
     resolve_channels,
 )
 from difffric.measurements.quantities import MeasuredQuantity, gather_alike, join_problems
@@ -94,6 +95,7 @@ def _read_group(
     """A group's stretch, and the unit of its force. Raises `ValueError` for what is wrong."""
     own = {str(x.name): x for x in group.channels()}
     meanings, problems = resolve_channels(meant, [*own], _SIGNALS)
+    problems = [*find_unknown(meant, _SIGNALS), *problems]
     if problems:
         raise ValueError("; ".join(problems))
     found: dict[str, _Signal] = {}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,17 +19,8 @@ from difffric.axis.setup import AxisSetup
 from difffric.axis.unit_checks import refuse_wrong_units
 from difffric.commands.axis import check, report
 from difffric.commands.console import check_setup_stays, print_and_write, show_progress
-from difffric.commands.options import parse_channels
+from difffric.commands.options import ReadOptions, parse_channels, sign_setup
 from difffric.errors import InputError
-
-
-@dataclass(frozen=True)
-class ReadOptions:
-    """How a recording is to be read, as the options say it."""
-
-    skip_bad: bool = False
-    channel: Sequence[str] | None = None
-    trust_units: bool = False
 
 
 def read_both(setup: Path, data: Path, asked: ReadOptions) -> tuple[AxisSetup, AxisRecordings]:
@@ -72,7 +63,11 @@ def run_fit(
         found = fit_axis(axis, loaded, free=free, tell=tell)
         tell("drawing", 0.95)
         page = report.report_fit(found, pictures=out is not None)
-    files = None if out is None else {"setup.toml": format_axis(found.setup).encode()}
+    files = (
+        None
+        if out is None
+        else {"setup.toml": format_axis(found.setup, sign_setup("fit", data)).encode()}
+    )
     print_and_write(page, found.as_dict(), out, files, tell.timings)
 
 
@@ -98,7 +93,11 @@ def run_diagnose(
         found = diagnose_axis(axis, loaded, matters=matters, tell=tell)
         tell("drawing", 0.95)
         page = report.report_diagnosis(found, pictures=out is not None)
-    files = None if out is None else {"setup.toml": format_axis(found.setup).encode()}
+    files = (
+        None
+        if out is None
+        else {"setup.toml": format_axis(found.setup, sign_setup("diagnose", data)).encode()}
+    )
     print_and_write(page, found.as_dict(), out, files, tell.timings)
 
 

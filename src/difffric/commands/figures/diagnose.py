@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
@@ -13,6 +15,10 @@ from difffric.diagnosis.verdict import Diagnosis
 from difffric.units import to_mm_min
 
 _BEFORE, _AFTER = "#c0392b", "#2c6fbb"
+_PLAIN, _WITH_CAUSES = "plain model", "with its causes"
+_WIDE = 30
+"""Ratio of the largest to the smallest squared residual from which on their axis is logarithmic:
+within less, a logarithmic axis shows few numbers."""
 
 
 def draw_misfit(found: Diagnosis) -> Figure:
@@ -24,26 +30,21 @@ def draw_misfit(found: Diagnosis) -> Figure:
     x = np.arange(len(v))
     with matplotlib.rc_context(STYLE):
         figure, axes = make_figure(2, 9.6, 3.8, sharey=True)
+        shown: list[float] = []
         names = ("force", "position" if found.used_recordings else "sliding distance")
         for k, (ax, name) in enumerate(zip(axes, names, strict=True)):
-            for chi2, colour, label, shift in (
-                (found.state.lack_before.chi2, _BEFORE, "plain model", -0.15),
-                (found.state.lack_after.chi2, _AFTER, "with its causes", 0.15),
-            ):
-                if label != "plain model" and not found.causes:
-                    continue
-                ax.plot(
-                    x + shift,
-                    (chi2[:, k] / counts[:, k])[order],
-                    "o",
-                    ms=4,
-                    color=colour,
-                    label=label,
-                )
+            drawn = [(found.state.lack_before, _BEFORE, _PLAIN, -0.15)]
+            if found.causes:
+                drawn.append((found.state.lack_after, _AFTER, _WITH_CAUSES, 0.15))
+            for lack, colour, label, shift in drawn:
+                y = (lack.chi2[:, k] / counts[:, k])[order]
+                ax.plot(x + shift, y, "o", ms=4, color=colour, label=label)
+                shown.extend(y)
             ax.axhline(1.0, color="0.5", lw=1, ls=":")
-            ax.set(yscale="log", title=name, xlabel="push, by speed [mm/min]")
+            ax.set(title=name, xlabel="push, by speed [mm/min]")
             ax.set_xticks(x[:: max(1, len(x) // 7)])
             ax.set_xticklabels([f"{s:.0f}" for s in v[order][:: max(1, len(x) // 7)]])
+        _choose_scale(axes[0], shown)  # of both, which share it
         axes[0].set_ylabel("squared residual per number,\nin units of the noise (1 is perfect)")
         axes[0].legend(frameon=False, fontsize=9)
     return figure
@@ -78,14 +79,14 @@ def _one(ax, one: Misfit, causes: bool) -> None:
     scale, unit = _SCALE[one.unit]
     named = isinstance(one.at[0], str)
     x = np.arange(len(one.at)) if named else scale * np.array(one.at, float)
-    for y, colour, there in ((one.before, _BEFORE, True), (one.after, _AFTER, causes)):
-        if there:
-            label = name_curve("plain model" if colour == _BEFORE else "with its causes")
-            ax.plot(x, y, "o" if named else "o-", ms=4, lw=1, color=colour, label=label)
+    drawn = [(one.before, _BEFORE, _PLAIN)]
+    if causes:
+        drawn.append((one.after, _AFTER, _WITH_CAUSES))
+    for y, colour, label in drawn:
+        style = "o" if named else "o-"
+        ax.plot(x, y, style, ms=4, lw=1, color=colour, label=name_curve(label))
     ax.axhline(1.0, color="0.5", lw=1, ls=":")
-    every = [*one.before, *(one.after if causes else ())]
-    if max(every) > 30 * max(min(every), 0.1):
-        ax.set_yscale("log")
+    _choose_scale(ax, [value for y, *_ in drawn for value in y])
     if named:
         ax.set_xticks(
             x, [write_name(str(name)) for name in one.at], rotation=30, ha="right", fontsize=8
@@ -95,22 +96,28 @@ def _one(ax, one: Misfit, causes: bool) -> None:
         ax.set_xlabel(f"[{unit}]")
 
 
+def _choose_scale(ax, shown: Sequence[float]) -> None:
+    """Make the axis of squared residuals logarithmic where they differ by far."""
+    if max(shown) > _WIDE * max(min(shown), 0.1):
+        ax.set_yscale("log")
+
+
 def draw_residuals(found: Diagnosis, shown: int = 3) -> Figure:
     """Draw whitened residuals over time of the pushes that fit worst, before and after."""
     state, task = found.state, found.state.data.task
     worst = np.argsort(-state.lack_before.chi2.sum(axis=1) / task.counts.sum(axis=1))[:shown]
+    drawn = [(state.plain, _BEFORE, _PLAIN)]
+    if found.causes:
+        drawn.append((state.extended, _AFTER, _WITH_CAUSES))
     with matplotlib.rc_context(STYLE):
         figure, axes = make_figure(len(worst), 3.4 * len(worst), 4.6, rows=2, squeeze=False)
         for column, i in enumerate(worst):
             for k, blocks in enumerate(task.model.pushes.data):
                 ax, there = axes[k, column], blocks.a[i] > 0
                 t = 0.5e3 * (blocks.t[i][blocks.first[i]] + blocks.t[i][blocks.second[i]])[there]
-                for fits, colour in ((state.plain, _BEFORE), (state.extended, _AFTER)):
-                    if fits is state.extended and not found.causes:
-                        continue
-                    label = name_curve("plain model" if colour == _BEFORE else "with its causes")
+                for fits, colour, label in drawn:
                     y = fits.residual[0, i, k][there]
-                    ax.plot(t, y, color=colour, lw=0.9, alpha=0.8, label=label)
+                    ax.plot(t, y, color=colour, lw=0.9, alpha=0.8, label=name_curve(label))
                 ax.axhline(0.0, color="0.5", lw=0.8)
                 ax.set_xlim(t[0], t[-1])
                 if k == 0:

@@ -66,7 +66,7 @@ def write_first_axis(
         ],
         "probe": [
             *([] if said.resolution_um is None
-              else [("resolution_um", f"{said.resolution_um:.6g}", "from its data sheet")]),
+              else [("resolution_um", f"{said.resolution_um:.6g}", "given with --resolution-um")]),
             *([] if found.imposed
               else [("noise_um", f"{to_um(found.noise.encoder):.2g}", "measured here")]),
         ],

@@ -16,6 +16,7 @@ import difffric as df
 from difffric.commands.first_steps.setup_text import Line, format_tables
 from difffric.commands.options import require_positive
 from difffric.errors import InputError
+from difffric.measurements.checks import MASS_TOLERANCE
 from difffric.measurements.load_file import load
 from difffric.measurements.noise import Noise
 from difffric.measurements.pushes import Pushes
@@ -41,6 +42,10 @@ _NO_STROKE = (
     "# stroke_mm = 2.0             # give the travel of the pusher: d depends on it at low speed",
 )
 """What stands for the pusher where no stroke is known: its place, and why it matters."""
+_FILE, _ASSUMED = "from the file", "assumed: put the value of your data sheet"
+"""Where a number comes from, if no option gives it."""
+_SENSITIVITY, _RANGE, _RESOLUTION = 11.2, 446.0, 0.02
+"""Usual sensors: [mV/N], [N], [um]."""
 _WORST = 1.0
 """Squared logarithm of a ratio that a distance which the model does not give counts as: it is the
 force that tells k and b, and distances near the edge of sticking tell little."""
@@ -52,24 +57,46 @@ class FirstNumbers:
 
     mass_kg: float | None
     stroke_mm: float | None
-    sensitivity_mV_per_N: float
-    range_N: float
-    resolution_um: float
+    sensitivity_mV_per_N: float | None
+    range_N: float | None
+    resolution_um: float | None
+
+
+@dataclass(frozen=True)
+class _Number:
+    """A number of a first set-up, and where it comes from."""
+
+    value: float
+    origin: str
+
+    @classmethod
+    def choose(cls, given: float | None, option: str, usual: float) -> _Number:
+        """The number that an option gives, or else the usual one of a sensor."""
+        return cls(usual, _ASSUMED) if given is None else cls(given, f"given with {option}")
+
+    @property
+    def text(self) -> str:
+        """As the set-up has it."""
+        return f"{self.value:.6g}"
 
 
 def write_first_setup(
     data: Path, said: FirstNumbers, names: dict[str, str], skip_bad: bool
 ) -> tuple[str, str]:
-    """(the text of a set-up for the pushes of a file, what was guessed, in words). `names`: what
-    the file calls a column or channel, by our name.
+    """(the text of a set-up for the pushes of a file, where its numbers come from, in words).
+    `names`: what the file calls a column or channel, by our name.
 
     Raises `InputError` where the file cannot be used, or tells no mass, or no force.
     """
     loaded = load(data, skip_bad=skip_bad, channels=names)
-    mass = _ask_for_mass(loaded, said.mass_kg)
+    weighed = _ask_for_mass(loaded, said.mass_kg)
+    mass = weighed.value
+    sensitivity = _Number.choose(said.sensitivity_mV_per_N, "--sensitivity-mv-per-n", _SENSITIVITY)
+    most = _Number.choose(said.range_N, "--range-n", _RANGE)
+    resolution = _Number.choose(said.resolution_um, "--resolution-um", _RESOLUTION)
     noise: dict[str, Noise | None] = {}
     if isinstance(loaded, df.Recordings):
-        newtons = loaded.in_newtons(MV * said.sensitivity_mV_per_N)
+        newtons = loaded.in_newtons(MV * sensitivity.value)
         reduction = reduce_recordings(newtons, skip_bad=skip_bad)
         pushes, known = reduction.pushes, [x.deceleration for x in reduction.details]
         noise = {k: getattr(reduction.details[0], f"noise_{k}") for k in ("force", "position")}
@@ -77,12 +104,13 @@ def write_first_setup(
         pushes, known = loaded, []
     if pushes.free_slides:
         raise InputError(f"{data}: free slides tell neither k nor b: expected pushes")
-    stroke = None if said.stroke_mm is None else from_mm(said.stroke_mm)
-    if stroke is None and np.isfinite(pushes.stroke).all():
-        stroke = float(pushes.stroke[0])
+    travel = None if said.stroke_mm is None else _Number(said.stroke_mm, "given with --stroke-mm")
+    if travel is None and np.isfinite(pushes.stroke).all():
+        travel = _Number(to_mm(float(pushes.stroke[0])), _FILE)
+    stroke = None if travel is None else from_mm(travel.value)
     mu_s, k, b = guess_contact(pushes, mass, stroke, known)
     lines: dict[str, list[Line]] = {
-        "part": [("mass_kg", f"{mass:.6g}", "weigh the part: every mu_s depends on it")],
+        "part": [("mass_kg", weighed.text, f"{weighed.origin}; every mu_s depends on it")],
         "friction": [
             ("mu_s", f"{mu_s:.3g}", "a guess from these pushes; a fit finds it for each condition"),
             ("mu_k_over_mu_s", f"{_RATIO}", "the usual ratio; a fit holds it by default"),
@@ -93,25 +121,15 @@ def write_first_setup(
             ("b_N_s_per_m", f"{b:.2g}", "a guess from these pushes; a fit finds it"),
         ],
         "pusher": []
-        if stroke is None
-        else [
-            (
-                "stroke_mm",
-                f"{to_mm(stroke):.6g}",
-                "the travel of the pusher: compare it with your rig",
-            )
-        ],
+        if travel is None
+        else [("stroke_mm", travel.text, f"{travel.origin}; compare it with your rig")],
         "force_sensor": [
-            ("sensitivity_mV_per_N", f"{said.sensitivity_mV_per_N:.6g}", "from its data sheet"),
-            (
-                "range_N",
-                f"{said.range_N:.6g}",
-                "from its data sheet; a force that reaches it is saturated",
-            ),
+            ("sensitivity_mV_per_N", sensitivity.text, sensitivity.origin),
+            ("range_N", most.text, f"{most.origin}; a force that reaches it is saturated"),
             *_write_noise("noise_N", noise.get("force"), 1.0),
         ],
         "probe": [
-            ("resolution_um", f"{said.resolution_um:.6g}", "from its data sheet"),
+            ("resolution_um", resolution.text, resolution.origin),
             *_write_noise("noise_um", noise.get("position"), to_um(1.0)),
         ],
         "files": [
@@ -121,7 +139,17 @@ def write_first_setup(
     }
     text = format_tables(lines, data, {"pusher": _NO_STROKE})
     parse_setup(text)
-    return text, (f"guessed from the pushes: mu_s {mu_s:.2g}, k {k:.2g} N/m, b {b:.2g} N s/m")
+    named = (
+        ("mass", weighed, "kg"), ("stroke", travel, "mm"), ("sensitivity", sensitivity, "mV/N"),
+        ("range", most, "N"), ("resolution", resolution, "µm"),
+    )  # fmt: skip
+    words = []
+    for origin, lead in ((_FILE, _FILE), (_ASSUMED, "assumed, until you read your data sheets")):
+        those = [f"{what} {x.text} {unit}" for what, x, unit in named if x and x.origin == origin]
+        if those:
+            words.append(f"{lead}: {', '.join(those)}")
+    words.append(f"guessed from the pushes: mu_s {mu_s:.2g}, k {k:.2g} N/m, b {b:.2g} N s/m")
+    return text, "\n".join(words)
 
 
 def guess_contact(
@@ -168,19 +196,25 @@ def _measure_misfit(
     return total / len(few)
 
 
-def _ask_for_mass(data: Pushes | Any, given: float | None) -> float:
+def _ask_for_mass(data: Pushes | Any, given: float | None) -> _Number:
     """The mass [kg] from the option, else from the data, else from who sits at the terminal.
 
-    Raises `InputError` where none of them says it.
+    Raises `InputError` where none of them says it, and where the option says another mass than
+    every push: all other commands would refuse such a set-up.
     """
-    if given is not None:
-        return given
     said = data.mass if isinstance(data, Pushes) else np.array([push.mass for push in data])
+    if given is not None:
+        known = said[np.isfinite(said)]
+        if len(known) and not np.any(abs(known - given) <= MASS_TOLERANCE * given):
+            in_grams = np.any(abs(1e3 * known - given) <= MASS_TOLERANCE * given)
+            doubt = "; was it meant in grams?" if in_grams else ": expected the same, or no option"
+            raise InputError(f"--mass-kg {given:.6g}: the file says {known[0]:.6g} kg{doubt}")
+        return _Number(given, "given with --mass-kg")
     if np.isfinite(said).all():
-        return float(np.median(said))
+        return _Number(float(np.median(said)), _FILE)
     if sys.stdin.isatty():
         answer = typer.prompt("mass of the part [kg]", type=float)
-        return require_positive("mass", answer) or 1.0
+        return _Number(require_positive("mass", answer) or 1.0, "as typed")
     raise InputError("--mass-kg is missing: the data do not say the mass of the part")
 
 

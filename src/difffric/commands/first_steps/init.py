@@ -43,7 +43,7 @@ def init(
         "setup.toml"
     ),
 ) -> None:
-    """Write a first set-up, which a fit can start from."""
+    """Write a first set-up, which a fit can start from. Sampling rates are read from the data."""
     from difffric.atomic_files import write_whole  # not at the top: help needs no numbers
 
     if to.exists():
@@ -69,7 +69,7 @@ def init(
 
         if gain_n_per_v is not None:
             raise InputError(f"--gain-n-per-v is for an axis only: {data} holds pushes")
-        of_rig = FirstNumbers(mass, stroke, sensitivity or 11.2, most or 446.0, resolution or 0.02)
+        of_rig = FirstNumbers(mass, stroke, sensitivity, most, resolution)
         text, words = write_first_setup(data, of_rig, names, skip_bad)
     write_whole(to, lambda file: file.write(text.encode()))
     console = open_console()

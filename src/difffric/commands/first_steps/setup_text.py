@@ -19,8 +19,8 @@ def format_tables(
     """Return the text of a set-up that was made for a file. A table without lines is left out;
     where `empty` names it, the lines given there stand in its place."""
     out = [
-        f"# A first set-up for {make_printable(data.name)}, written by difffric init.",
-        "# A fit starts from these numbers.",
+        f"# A first set-up for {make_printable(data.name)}, which a fit starts from, "
+        "by difffric init.",
         "# docs/formats.md says what each of them means and which others there are.",
     ]
     for name, entries in tables.items():

@@ -21,6 +21,7 @@ from difffric.name_text import shorten_name
 from difffric.number_text import format_number, format_pair
 from difffric.rig import parameters
 from difffric.rig.setup import Setup, refuse_recorded_motion
+from difffric.simulation.events import word_reason
 from difffric.units import to_mm_min, to_um
 
 if TYPE_CHECKING:
@@ -127,7 +128,10 @@ def report_check(found: Examined, known: Identifiability, setup: Setup, pictures
             Section("Skipped", (), [Table("What was left out, and why", ("what",), rows)])
         )
     return Report(
-        "What would be fitted", _summarise(found, known, setup), sections, _advise(found, known)
+        "What would be fitted",
+        _summarise(found, known, setup),
+        sections,
+        _advise(found, known, pictures),
     )
 
 
@@ -159,14 +163,19 @@ def _summarise(found: Examined, known: Identifiability, setup: Setup) -> list[st
         lines.insert(0, "These data can determine every parameter that a fit frees by default.")
     if setup.rig.pusher.stroke is None and np.isnan(p.stroke).all() and not p.free_slides:
         lines.append(NO_STROKE)
-    return lines
+    return [*lines, *(f"Note: {note}." for note in known.notes)]
 
 
-def _advise(found: Examined, known: Identifiability) -> list[str]:
+def _advise(found: Examined, known: Identifiability, pictures: bool) -> list[str]:
     """Return what to do next with the data."""
-    lines = [
-        "Look at the figures: are these the pushes that were made, and are the landmarks right?"
-    ]
+    if not pictures:
+        lines = ["Look at the table: are these the pushes that were made? --out DIR draws them."]
+    elif found.recordings is None:
+        lines = ["Look at the figure: are these the pushes that were made?"]
+    else:
+        lines = [
+            "Look at the figures: are these the pushes that were made, and are the landmarks right?"
+        ]
     if known.not_identifiable:
         lines.append(
             "Measure at other speeds, or hold what is not determined: difffric fit --free names "
@@ -188,7 +197,7 @@ def _explain(known: Identifiability, recorded: bool) -> list[str]:
             "errors are smaller."
         )
     text += [f"{', '.join(x['parameters'])}: {x['reason']}" for x in known.not_identifiable]
-    return [*text, *(f"Note: {note}." for note in known.notes)]
+    return text
 
 
 def _tabulate_errors(known: Identifiability, setup: Setup) -> Table:
@@ -224,7 +233,7 @@ def _tabulate_pushes(found: Examined, known: Identifiability) -> Table:
         for value, error, expected in [distances] if p.free_slides else [forces, distances]:
             number, plus = format_pair(float(value), float(error))
             row += [number if plus == "–" else f"{number} ± {plus}", format_number(expected, 4)]
-        rows.append([*row, _list_missing(found, i)])
+        rows.append([*row, word_reason(_list_missing(found, i))])
     force = [] if p.free_slides else ["F_p [N]", "F_p by the set-up [N]"]
     columns = ["push", "speed [mm/min]", "condition", *force, "d [µm]", "d by the set-up [µm]"]
     columns.append("what is missing")

@@ -6,6 +6,7 @@ from difffric.commands import figures
 from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.diagnosis.misfit import describe_misfits
 from difffric.diagnosis.next_experiment import Experiment
+from difffric.diagnosis.score_test import SIGNIFICANT
 from difffric.diagnosis.verdict import ADEQUATE, AMBIGUOUS, NAMED, Cause, Diagnosis
 from difffric.number_text import format_number, format_pair
 from difffric.units import to_mm, to_mm_min, to_um
@@ -17,6 +18,9 @@ _VERDICTS = {
 }
 _TELLS = 1.0
 """Expected standard deviations between two effects below which a push tells nothing of them."""
+_NOTHING = 1e-3
+"""Fall of -2 log likelihood of an effect that stays at its null."""
+_WANTED = "The pushes that would tell most"
 _UNEXPLAINED = "The misfit is real, and no effect of the catalogue explains it."
 
 
@@ -66,7 +70,8 @@ _MEANING = (
 
 
 def tabulate_considered(found: Diagnosis, gain: str = "gain on held-out pushes") -> Table:
-    """Return a table of the leading effects, each alone on top of the plain model."""
+    """Return a table of the leading effects, each alone on top of the plain model, that gain
+    anything."""
     rows = [
         [
             cause.id,
@@ -77,9 +82,13 @@ def tabulate_considered(found: Diagnosis, gain: str = "gain on held-out pushes")
             format_number(cause.p_value, 2),
         ]
         for cause in found.considered
+        if cause.chi2_drop > _NOTHING
     ]
     columns = ("effect", "component", "size", "fall of −2 log likelihood", gain, "p-value")
-    return Table("The leading effects, each alone on top of the plain model", columns, rows)
+    caption = "The leading effects, each alone on top of the plain model"
+    if not any(cause.p_value <= SIGNIFICANT for cause in found.considered):
+        caption += f"; none is significant (p-value below {SIGNIFICANT:g})"
+    return Table(caption, columns, rows)
 
 
 def _list_experiments(found: Diagnosis) -> list[Experiment]:
@@ -108,7 +117,7 @@ def tabulate_experiments(found: Diagnosis) -> Table:
         "rest before it [s]",
         "expected difference [σ]",
     )
-    return Table("The pushes that would tell most", columns, rows)
+    return Table(_WANTED, columns, rows)
 
 
 def _advise(found: Diagnosis) -> list[str]:
@@ -120,7 +129,10 @@ def _advise(found: Diagnosis) -> list[str]:
             "the causes."
         )
     elif found.verdict == ADEQUATE:
-        lines.append("Go on with this model: difffric fit calibrates it, identify gives mu_s.")
+        lines.append(
+            "Go on with this model: the setup.toml that --out writes is calibrated, and difffric "
+            "identify gives mu_s of each push with it, as with one that difffric fit has written."
+        )
     elif found.location:
         lines.append(
             f"Look at the {found.location.component.replace('_', ' ')} of the rig: nothing in the "
@@ -130,7 +142,7 @@ def _advise(found: Diagnosis) -> list[str]:
     if experiments and found.verdict == AMBIGUOUS:
         lines.append(f"Make another push, which tells more: {experiments[0]}.")
     elif experiments:
-        lines.append("For what these data cannot say, see the pushes under “What to push next”.")
+        lines.append(f"For what these data cannot say, see the table “{_WANTED}”.")
     if found.remaining is not None:
         lines.append(
             "Take the standard errors as too small: what is left beside the noise is not in them."
@@ -138,20 +150,21 @@ def _advise(found: Diagnosis) -> list[str]:
     return lines
 
 
-def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
-    """Return the report of a diagnosis; with figures where there are to be pictures."""
+def report_diagnosis(found: Diagnosis, go_on: str, pictures: bool) -> Report:
+    """Return the report of a diagnosis; with figures where there are to be pictures. `go_on` is the
+    command that goes on with a model that is adequate."""
     g, left = found.gain, found.remaining
     summary = [] if left is None else [f"{str(left).capitalize()}."]
     summary.append(_VERDICTS.get(found.verdict, _UNEXPLAINED))
     summary += [f"{cause.id}: {cause.text} ({_format_sizes(cause)})." for cause in found.causes]
     summary.append(
         f"On pushes that the fit has not seen, the model's error is {format_number(g.after, 3)} "
-        f"times the noise; without the causes it is {format_number(g.before, 3)} times "
-        f"({format_number(g.noise_floor, 3)} is perfect)."
+        f"times the noise; without the causes it is {format_number(g.before, 3)} times; "
+        f"the noise floor is {format_number(g.noise_floor, 3)}."
         if found.causes
         else "On pushes that the fit has not seen, the model's error is "
-        f"{format_number(g.before, 3)} times the noise ({format_number(g.noise_floor, 3)} is "
-        "perfect)."
+        f"{format_number(g.before, 3)} times the noise; the noise floor is "
+        f"{format_number(g.noise_floor, 3)}."
     )
     if found.location:
         where = found.location
@@ -181,12 +194,13 @@ def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
             "(--matters): they were not added to the model.",
         )
         sections.append(Section("Too small to matter", text, (table,)))
-    if found.considered:
+    considered = tabulate_considered(found)
+    if considered.rows:
         text = (
             "Each effect was tried by itself. The gain is by how much it lowers the error on "
             "pushes that were held out of the fit.",
         )
-        sections.append(Section("What was considered", text, (tabulate_considered(found),)))
+        sections.append(Section("What was considered", text, (considered,)))
     if found.certificates:
         rows = [
             [
@@ -205,13 +219,13 @@ def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
         sections.append(Section("Beyond the plain model", tables=(table,)))
     if pictures:
         recordings = found.used_recordings
+        models = "the plain model in red" + (", with its causes in blue" if found.causes else "")
         drawn = []
         if recordings:
             drawn.append(
                 Picture(
                     "misfit",
-                    "How far the model misses each push: the plain model in red, with its causes "
-                    "in blue.",
+                    f"How far the model misses each push: {models}.",
                     figures.diagnose.draw_misfit(found),
                 )
             )
@@ -219,7 +233,7 @@ def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
             Picture(
                 "where",
                 "Squared residuals over what changes during a push and between pushes, in units of "
-                "the noise: the plain model in red, with its causes in blue.",
+                f"the noise: {models}.",
                 figures.diagnose.draw_where(found),
             )
         )
@@ -227,8 +241,7 @@ def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
             drawn.append(
                 Picture(
                     "residuals",
-                    "Residuals of the pushes that the plain model follows worst: the plain model "
-                    "in red, with its causes in blue.",
+                    f"Residuals of the pushes that the plain model follows worst: {models}.",
                     figures.diagnose.draw_residuals(found),
                 )
             )
@@ -258,4 +271,10 @@ def report_diagnosis(found: Diagnosis, pictures: bool) -> Report:
         sections.append(Section("What these data cannot say", text, (table,)))
     if found.notes:
         sections.append(Section("Notes", found.notes))
-    return Report("Diagnosis", tuple(summary), tuple(sections), _advise(found))
+    return Report(
+        "Diagnosis",
+        tuple(summary),
+        tuple(sections),
+        _advise(found),
+        go_on if found.verdict == ADEQUATE else "",
+    )

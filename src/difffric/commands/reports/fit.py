@@ -19,7 +19,7 @@ from difffric.calibration.profiles import Profile
 from difffric.calibration.profiles import profile as profiled
 from difffric.calibration.result import Fit
 from difffric.commands import figures
-from difffric.commands.reports.fit_summary import advise, describe_next, summarise_fit
+from difffric.commands.reports.fit_summary import advise, describe_next, list_open, summarise_fit
 from difffric.commands.reports.page import Picture, Report, Section, Table
 from difffric.errors import InputError
 from difffric.number_text import format_number, format_pair
@@ -104,8 +104,8 @@ def report_fit(answer: Answer, pictures: bool) -> Report:
             "Parameters",
             (
                 "The standard errors come from the noise, as it is known or estimated, and from "
-                "the scatter of mu_s. The last column alone is scaled by the root of the reduced "
-                "chi-square: it is what they would be if the noise were as large as the residuals.",
+                "the scatter of mu_s. Those of the last column alone are multiplied by the root of "
+                "the reduced chi-square: they hold if the noise is as large as the residuals.",
             ),
             [_tabulate_parameters(fit), *_tabulate_open(fit), *_tabulate_correlations(fit)],
             _draw_correlations(fit) if pictures else (),
@@ -143,7 +143,7 @@ def report_fit(answer: Answer, pictures: bool) -> Report:
 
 
 def _tabulate_parameters(fit: Fit) -> Table:
-    rows = []
+    rows, left_open = [], list_open(fit)
     for label in fit.free:
         value, error = fit.value(label), fit.standard_error(label)
         shown, se = format_pair(value, error)
@@ -152,11 +152,15 @@ def _tabulate_parameters(fit: Fit) -> Table:
         ends = "–"
         if interval is not None:
             ends = " … ".join(format_pair(x, error)[0] for x in interval)
+        if label in left_open:
+            rows.append([label, shown, "not determined", "–", "–", "–"])
+            continue
         rows.append(
             [label, shown, se if error else "at bound", relative, ends, format_number(scaled, 3)]
         )
     columns = (
-        "parameter [SI]", "value", "standard error", "error [%]", "95 % interval", "scaled error",
+        "parameter [SI]", "value", "standard error", "error [%]", "95 % interval",
+        "error × √(reduced χ²)",
     )  # fmt: skip
     spreads = [
         ("mu_s_scatter", fit.scatter, fit.scatter_se),
@@ -240,7 +244,7 @@ def _tabulate_pushes(answer: Answer) -> Table:
     columns = ["push", "speed [mm/min]", "condition", "own mu_s"]
     columns += [] if fit.kind == "slides" else ["F_p [N]", "model F_p [N]", "residual of F_p [σ]"]
     columns += ["d [µm]", "model d [µm]", "residual of d [σ]"]
-    columns += [] if chi2 is None else ["squared residual"]
+    columns += [] if chi2 is None else ["squared residual (1: noise)"]
     columns += ["start [µs]"] if np.any(fit.start) else []
     return Table("Each push", columns, rows)
 
@@ -250,9 +254,10 @@ def _tabulate_noise(fit: Fit) -> Table:
     rows = []
     for name, noise in fit.noise.items():
         scale, unit = units.get(name, (1.0, ""))
-        colour = "white" if noise["correlation"] < 0.02 else f"AR(1), {noise['correlation']:.3f}"
-        rows.append([name, format_number(scale * noise["standard_deviation"], 4, unit), colour])
-    return Table("Noise of a sample", ("channel", "standard deviation", "colour"), rows)
+        level = format_number(scale * noise["standard_deviation"], 4, unit)
+        rows.append([name, level, f"{noise['correlation']:.3f}"])
+    columns = ("channel", "standard deviation", "correlation of neighbours")
+    return Table("Noise of a sample", columns, rows)
 
 
 def _draw_correlations(fit: Fit) -> list[Picture]:

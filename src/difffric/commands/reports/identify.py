@@ -15,6 +15,7 @@ from difffric.measurements.recordings import Recordings
 from difffric.name_text import shorten_name
 from difffric.number_text import format_number, format_pair
 from difffric.rig.rig import Rig
+from difffric.simulation.events import word_reason
 from difffric.units import to_mm_min
 
 _APART = 3.0
@@ -197,7 +198,7 @@ def _tabulate_pushes(found: Identified, velocity: NDArray) -> Table:
             row.append(format_number(p.trace_reduced_chi2, 3))
         if both:
             row.append(format_number(p.disagreement, 2))
-        words = [p.reason or ""]
+        words = [word_reason(p.reason or "")]
         if p.alternatives:
             others = [x for x in p.alternatives if x != p.mu_s_distance.value]
             other = ", ".join(format_number(x, 3) for x in others)
@@ -206,7 +207,18 @@ def _tabulate_pushes(found: Identified, velocity: NDArray) -> Table:
     measures = ["reduced chi²"] * bad + ["force − distance [σ]"] * both
     columns = ["push", "speed [mm/min]", "condition", *(WAYS[way] for way in ways)]
     columns += [*measures, "remark"]
-    return Table("mu_s of each push", columns, rows)
+    return Table(f"mu_s of each push{_name_best(found)}", columns, rows)
+
+
+def _name_best(found: Identified) -> str:
+    """Say which column holds the best estimate, and of how many pushes where they differ."""
+    ways = [WAYS[p.best_way] for p in found if p.best_way is not None]
+    if not ways:
+        return ""
+    if len(set(ways)) == 1:
+        return f"; the best estimate: {ways[0]}"
+    said = [f"{way} ({ways.count(way)} pushes)" for way in dict.fromkeys(ways)]
+    return f"; the best estimates: {', '.join(said)}"
 
 
 def _tabulate_conditions(answer: dict) -> Table:

@@ -75,6 +75,8 @@ class Report:
     sections: Sequence[Section] = field(default_factory=tuple)
     advice: Sequence[str] = ()
     """what to do next, a line for each thing"""
+    command: str = ""
+    """what to type for the last of these, in one line that can be copied"""
 
     @property
     def pictures(self) -> list[Picture]:

@@ -22,6 +22,7 @@ from difffric.measurements.headings import (
     Heading,
     HeadingError,
     ask_for_names,
+    find_unknown,
     read_heading,
     resolve_channels,
 )
@@ -122,7 +123,7 @@ def _match(
     pass_over: bool,
 ) -> _Matched:
     meanings, problems = resolve_channels(channels, text.header, known)
-    found = _Matched(problems=problems)
+    found = _Matched(problems=[*find_unknown(channels, known), *problems])
     for name in dict.fromkeys(text.header):
         if name and text.header.count(name) > 1:
             times = text.header.count(name)
@@ -204,7 +205,10 @@ def _choose_mark(text: DelimitedText, matched: _Matched) -> tuple[str | None, st
     mark = find_decimal_mark((row[i] for row in text.rows for i in numeric), default)
     if mark is None:
         return None, "is its mark one of thousands? write numbers without thousands marks"
-    return mark, _COMMA if text.separator == "," and mark == "." else "one decimal mark throughout"
+    if text.separator == "," and mark == ".":
+        return mark, _COMMA
+    other, usual = ("point", "commas") if mark == "," else ("comma", "points")
+    return mark, f"a {other}, where the rest of the file has decimal {usual}"
 
 
 def _write_plain(

@@ -21,6 +21,7 @@ from difffric.measurements.headings import (
     ask_for_names,
     find_quantity,
     find_unit_of,
+    find_unknown,
     read_heading,
     resolve_channels,
 )
@@ -114,6 +115,8 @@ def _recordings(
             pushes.append(push)
             notes += [("", words) for words in group.notes]
     lines = [f"{path}: damaged: {contents.damage}"] if contents.damage else []
+    if lines and pushes and not skip_bad:
+        lines[0] += f"; {len(pushes)} pushes before it are whole: --skip-bad takes them alone"
     if not names and not lines:
         lines.append(f"{path}: no groups, expected one for each push")
     if (problems or lines) and not (skip_bad and pushes):
@@ -135,7 +138,8 @@ class _Group:
         signals, problems = resolve_channels(meant, [*self._channels], _SIGNALS)
         said, more = resolve_channels(meant, [*self._own.properties], OF_RECORDING)
         self._meant = signals | said
-        self.problems += [f": {problem}" for problem in (*problems, *more)]
+        unknown = find_unknown(meant, (*_SIGNALS, *OF_RECORDING))
+        self.problems += [f": {problem}" for problem in (*unknown, *problems, *more)]
 
     def read(self, file: OpenFile) -> Recording | None:
         """The recording, or None where something is wrong with it."""
