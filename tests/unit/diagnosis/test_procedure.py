@@ -27,7 +27,7 @@ HIDDEN = {
 }
 ANOTHER_FORM = ("stribeck",)
 """Hidden with another exponent than the catalogue's: the size is not the same number."""
-LONG = ("presliding", "pusher_lag", "channel_skew")
+LONG = ("presliding", "stribeck", "pusher_lag", "channel_skew")
 """Minutes each: with the slow tests."""
 
 
