@@ -41,6 +41,7 @@ def remove_leftovers() -> None:
             if not path.is_dir():
                 path.unlink()
             elif whole:
-                shutil.rmtree(path)
+                # Another thread may just be removing it, too.
+                shutil.rmtree(path, ignore_errors=True)
             else:
                 path.rmdir()

@@ -12,6 +12,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -24,6 +25,9 @@ SETUP = EXAMPLES / "setup.toml"
 TABLE = ("identify", EXAMPLES / "pushes.csv", "--setup", SETUP, "--quiet")
 SOON = 20.0
 """How long [s] a process may take to end: a second, on a machine of which it gets a twentieth."""
+
+PATIENT = 300.0
+"""How long [s] a command may take to come to the moment at which it is stopped."""
 
 DRIVER = """
 import sys, threading, time
@@ -105,15 +109,18 @@ def stop(moment, *words, cache):
         # Where the tests run in the background a shell has them ignore it.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
+    guard = threading.Timer(PATIENT, process.kill)  # so that no fault keeps a busy process
+    guard.start()
     try:
         assert process.stdout is not None
-        line = process.stdout.readline()
-        assert line == "now\n", line + process.communicate()[1]
+        # What the command prints before that moment comes first.
+        assert "now\n" in iter(process.stdout.readline, ""), process.communicate()[1]
         sent = time.monotonic()
         process.send_signal(signal.SIGINT)
         error = process.communicate(timeout=SOON)[1]
         return process.returncode, error, time.monotonic() - sent
     finally:
+        guard.cancel()
         process.kill()
 
 

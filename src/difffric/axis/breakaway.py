@@ -53,6 +53,8 @@ _REST = 0.03
 """Seconds that a rest lasts at least."""
 _MOVED = 5.0
 """Standard deviations of the encoder's noise by which an axis has left its rest."""
+_FEWEST, _MOST_COLOUR = 30, 0.98
+"""Samples of a rest that tell its noise, and the largest correlation of neighbours."""
 _SPREADS = np.array([1e-3, 3e-3, 0.01, 0.03, 0.1])
 """Relative spreads of the force from one event to the next that are weighed."""
 _OTHER_LAW = 6.0
@@ -71,7 +73,8 @@ def find_breakaways(
 ) -> list[Breakaway]:
     """Return the ends of rests at which the force told what the axis resisted.
 
-    `levels` are the stretches' friction by the mean one; `noise` that of the encoder [m].
+    `levels` are the stretches' friction by the mean one; `noise` is that of the encoder [m], by
+    which neighbours differ.
     """
     found = []
     for k, (stretch, motion) in enumerate(zip(data.stretches, motions, strict=True)):
@@ -79,7 +82,7 @@ def find_breakaways(
         own = {**values, COULOMB: values[COULOMB] * levels[k]}
         for (a, b, sign), (_, after, moving) in pairwise(pieces):
             if sign == 0 and moving != 0 and after - b >= 3:
-                one = _weigh_starts(k, stretch, a, after, moving, own, levels[k], noise)
+                one = _weigh_starts(k, stretch, (a, b, after), moving, own, levels[k], noise)
                 if one is not None:
                     found.append(one)
     return found
@@ -115,21 +118,23 @@ def _weigh_force(event: Breakaway, grid: NDArray, spread: float) -> NDArray:
 def _weigh_starts(
     k: int,
     stretch: AxisStretch,
-    a: int,
-    after: int,
+    samples: tuple[int, int, int],
     sign: int,
     values: Mapping[str, float],
     level: float,
     noise: float,
 ) -> Breakaway | None:
-    """What the end of the rest that begins at sample a says, or None where it says nothing."""
+    """What the end of a rest says, or None where it says nothing; `samples` are the rest's first,
+    the one after its last, and the one after the motion that follows."""
+    a, end, after = samples
     t, x = stretch.time, sign * stretch.position
     acts = np.searchsorted(t, t - values.get(_DELAY, 0.0), side="right") - 1
     force = sign * (stretch.force[np.maximum(acts, 0)] + values[OFFSET])
     step = float(np.median(np.diff(t)))
     far = min(after, len(x))
     home = float(np.median(x[a : a + max(5, round(_REST / step))]))
-    gone = np.flatnonzero(x[a:far] - home > max(_MOVED * noise, 1e-12))
+    size, colour = _measure_rest(x[a:end], noise)
+    gone = np.flatnonzero(x[a:far] - home > max(_MOVED * size, 1e-12))
     if not len(gone):
         return None
     left = a + int(gone[0])
@@ -149,30 +154,56 @@ def _weigh_starts(
         return None
     seen = x[begin:last] - home
     costs = []
+    innovation = size**2 * (1 - colour**2)
     for s in records:
         model = np.zeros(last - begin)
         model[s - begin :] = _slide(force[s:last], step, values)
         off = seen - model
-        costs.append(float(((off - np.mean(off[: max(s - begin, 1)])) ** 2).sum()))
+        off = off - np.mean(off[: max(s - begin, 1)])
+        costs.append(float(((off[1:] - colour * off[:-1]) ** 2).sum()))
     # The fitted axis is not quite the real one: what the best start leaves over is noise, too.
     best = float(np.min(costs))
-    sigma2 = max(noise**2, best / max(last - begin - 2, 1))
+    sigma2 = max(innovation, best / max(last - begin - 2, 1))
     edges = np.array([max(before, 0.0), *(force[s] for s in records)]) / level
     if records[int(np.argmin(costs))] <= a + 3:
         return None
     logs = -(np.array(costs) - best) / (2 * sigma2)
-    if best > _OTHER_LAW * noise**2 * (last - begin):
+    if best > _OTHER_LAW * innovation * (last - begin):
         logs[:] = 0.0
     return Breakaway(k, sign, edges, logs)
 
 
+def _measure_rest(x: NDArray, noise: float) -> tuple[float, float]:
+    """Return the standard deviation of the positions (n,) of a rest [m], `noise` at least, and the
+    correlation of neighbours.
+
+    What neighbours differ by says less than all of a coloured noise: an axis at rest would seem to
+    leave it all the time.
+    """
+    off = x - np.median(x)
+    size = float(np.median(np.abs(off))) / norm.ppf(0.75)
+    if len(x) < _FEWEST or size <= noise:
+        return noise, 0.0
+    off = off[np.abs(off) < _MOVED * size]
+    colour = float(off[1:] @ off[:-1]) / max(float(off @ off), 1e-300)
+    return size, float(np.clip(colour, 0.0, _MOST_COLOUR))
+
+
 def _slide(force: NDArray, step: float, values: Mapping[str, float]) -> NDArray:
-    """Distance gone at each sample under forces (n,) from rest, friction against the motion."""
+    """Distance gone at each sample under forces (n,) from rest, each held for a step, friction
+    against the motion.
+
+    Exact within a step: where viscous friction brakes within some samples, a speed that is held
+    from sample to sample was late by half of one.
+    """
     u, s, path = 0.0, 0.0, np.empty(len(force))
-    coulomb, k_v, mass = values[COULOMB], values[VISCOUS], values[MASS]
+    coulomb, mass = values[COULOMB], values[MASS]
+    rate = max(values[VISCOUS] / mass, 1e-6 / step)
+    fades = float(np.exp(-rate * step))
+    lasting = (1 - fades) / rate
     for i, one in enumerate(force):
         path[i] = s
-        a = (one - coulomb - k_v * u) / mass
-        s += max(u * step + a * step**2 / 2, 0.0)
-        u = max(u + a * step, 0.0)
+        steady = (one - coulomb) / mass / rate
+        s += max(steady * (step - lasting) + u * lasting, 0.0)
+        u = max(steady + (u - steady) * fades, 0.0)
     return path

@@ -138,8 +138,11 @@ def conclude_fit(
         events = find_breakaways(ready.data, ready.motions, values, shares, ready.noise)
         stuck = combine_breakaways(events, coulomb)
         if stuck is not None:
-            # The mean level is known no better than that of sliding friction.
-            own = scatter / np.sqrt(len(ready.data)) * stuck.value
+            # The mean level is known no better than that of sliding friction, and its scatter by
+            # as few stretches: Student's t has a wider standard deviation.
+            n = len(ready.data)
+            wide = np.sqrt((n - 1) / (n - 3)) if n > 3 else np.sqrt(3.0)
+            own = scatter * wide / np.sqrt(n) * stuck.value
             stuck = replace(stuck, standard_error=float(np.hypot(stuck.standard_error, own)))
     fitted = _fill_setup(setup, end, stuck, scatter)
     degrees = end.problem.n - len(end.names)

@@ -348,6 +348,8 @@ class ExtendedModel:
         names = self.coordinates.names
         bent = c[:, names.index(BRISTLES)] > 0 if BRISTLES in names else np.zeros(len(c), bool)
         known = self.coordinates.indices(self._unbent.coordinates.names)
+        if not bent.any():
+            return self._unbent._answers(index, c[:, known], directions[..., known], keep_rows)
         parts = []
         for model, at, own in ((self._unbent, ~bent, known), (self._bent, bent, slice(None))):
             if at.any():

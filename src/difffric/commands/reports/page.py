@@ -144,7 +144,8 @@ def write_folder(
     }
     with open_folder(folder) as path:
         staged = tempfile.TemporaryDirectory(dir=path, prefix=".writing-")
-        with staged as staging, leftovers.guard(Path(staging)):
+        # Whoever ends the process knows of the folder until it is gone.
+        with leftovers.guard(Path(staged.name)), staged as staging:
             for name, content in contents.items():
                 (Path(staging) / name).write_bytes(content)
             with leftovers.PLACING:
