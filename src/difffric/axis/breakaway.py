@@ -181,7 +181,7 @@ def _measure_rest(x: NDArray, noise: float) -> tuple[float, float]:
     leave it all the time.
     """
     off = x - np.median(x)
-    size = float(np.median(np.abs(off))) / norm.ppf(0.75)
+    size = float(np.median(np.abs(off)) / norm.ppf(0.75))
     if len(x) < _FEWEST or size <= noise:
         return noise, 0.0
     off = off[np.abs(off) < _MOVED * size]

@@ -194,7 +194,7 @@ def find_root(
     It is exact to a share of the step and not of itself (as `event_root` has it): what lies beside
     the step's start is known no better. The search begins where a cubic through both ends falls.
     """
-    firm = map_tree(plain, (course._replace(until=0.0), z, u))
+    firm: Any = map_tree(plain, (course._replace(until=0.0), z, u))
 
     def look_at(course: LegCourse, z: Any, u: Any, t: Any) -> tuple[Any, Any]:
         z_1, u_1, _ = take_step(accelerate, course, z, u, accelerate(course, z, u), t)
