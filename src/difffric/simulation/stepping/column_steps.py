@@ -194,14 +194,15 @@ def find_root(
     It is exact to a share of the step and not of itself (as `event_root` has it): what lies beside
     the step's start is known no better. The search begins where a cubic through both ends falls.
     """
-    firm: Any = map_tree(plain, (course._replace(until=0.0), z, u))
+    firm = map_tree(plain, (course._replace(until=0.0), z, u))
 
     def look_at(course: LegCourse, z: Any, u: Any, t: Any) -> tuple[Any, Any]:
         z_1, u_1, _ = take_step(accelerate, course, z, u, accelerate(course, z, u), t)
         return look(course, z_1, u_1, accelerate(course, z_1, u_1))
 
     def improve(s: _RootSearch, firm: Any, h: NDArray) -> _RootSearch:
-        value, rate = look_at(*firm, s.t)
+        course, z, u = firm
+        value, rate = look_at(course, z, u, s.t)
         lo, hi = np.where(value > 0, s.t, s.lo), np.where(value > 0, s.hi, s.t)
         t = s.t - value / np.where(rate == 0, -1e-300, rate)
         t = np.where((t >= lo) & (t <= hi), t, 0.5 * (lo + hi))
@@ -214,7 +215,7 @@ def find_root(
     none = np.zeros_like(h)
     course, z, u = firm
     begin = look(course, z, u, accelerate(course, z, u))
-    t = h * _find_fall(h, *begin, *look_at(*firm, h))
+    t = h * _find_fall(h, *begin, *look_at(course, z, u, h))
     start = _RootSearch(t, none, h, h, h > 0, np.zeros(h.shape, int))
     return repeat_while(lambda s: s.moves & (s.count < _TRIES), improve, start, firm, h).t
 
