@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from difffric.axis import AxisRecordings, AxisSetup, AxisStretch, fit_axis, identify_axis
+from difffric.axis.breakaway import _slide
 from difffric.axis.setup import AxisExtras
 from difffric.errors import InputError
 from tests.reference.axis import Axis, record
@@ -39,6 +40,31 @@ def test_what_is_determined_well_says_so(fitted):
 def test_the_force_that_ends_a_rest_is_that_of_break_away(fitted):
     assert abs(fitted.value("breakaway_N") - 24.0) < 3.5 * fitted.standard_error("breakaway_N")
     assert fitted.standard_error("breakaway_N") < 1.5
+
+
+def test_so_it_is_where_friction_brakes_within_samples_and_noise_is_coloured():
+    """A light axis under strong viscous friction, mass / k_v of eight samples: its first motion is
+    that of the exact solution, not of a speed held from sample to sample. At rest a coloured noise
+    strays by four times what neighbours differ by."""
+    axis = Axis(mass=2.5, coulomb=6.0, breakaway=7.1, k_v=300.0, offset=2.9)
+    rough = AxisSetup(mass=1.0, coulomb=2.0, k_v=900.0)
+    rounds = {"speeds": (0.05, 0.1, 0.2, 0.1), "travel": 0.08, "scatter": 0.0}
+    for colour in (0.0, 0.9):
+        found = fit_axis(rough, make(axis, noise=1e-6, colour=colour, **rounds)).breakaway
+        assert abs(found.value - 7.1) < 3 * found.standard_error
+        assert found.standard_error < 0.2
+
+
+def test_a_motion_from_rest_is_the_exact_solution():
+    """x = u_e (t - tau (1 - exp(-t / tau))) under one force, tau = m / k_v; m x'' = F - F_c where
+    k_v vanishes."""
+    values = {"mass_kg": 2.0, "coulomb_N": 6.0, "k_v_N_s_per_m": 300.0}
+    t = 1e-3 * np.arange(50)
+    tau, end = 2.0 / 300.0, (9.0 - 6.0) / 300.0
+    exact = end * (t + tau * np.expm1(-t / tau))
+    np.testing.assert_allclose(_slide(np.full(50, 9.0), 1e-3, values), exact, atol=1e-15)
+    free = _slide(np.full(50, 9.0), 1e-3, values | {"k_v_N_s_per_m": 0.0})
+    np.testing.assert_allclose(free, 0.5 * 1.5 * t**2, rtol=1e-4)
 
 
 def test_the_noise_of_the_encoder_is_found(fitted):
