@@ -369,8 +369,9 @@ def test_processes_at_once_share_a_cache_and_a_foreign_one_is_not_touched(tmp_pa
     out, err = run.communicate(timeout=300)
     assert run.returncode == 0 and out == told[0][0]
     assert len(err.splitlines()) == 2 and err.count(private_folder.REFUSED) == 2
-    # How long work took is kept in the folder around them, which is the user's own.
-    assert [path.name for path in files_of(foreign)] == ["durations.json"]
+    # How long work took is kept in the folder around them, which is the user's own, where it took
+    # long enough to be told the next time.
+    assert {path.name for path in files_of(foreign)} <= {"durations.json"}
 
 
 def test_a_command_that_draws_nothing_loads_no_matplotlib():
