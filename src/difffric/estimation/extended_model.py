@@ -238,8 +238,8 @@ def _answer_any(
 
 _answer = compile_soon(_answer_any)
 _answer_seldom = compile_quickly(_answer_any)
-"""The same for a rig with free forms, whose program is four times as large and is asked some dozen
-times: it was compiled for a minute to run for a second."""
+"""The same with derivatives for a rig with free forms, whose program is four times as large and is
+asked some dozen times: it was compiled for a minute to run for a second."""
 
 
 @dataclass(frozen=True)
@@ -301,7 +301,7 @@ class ExtendedModel:
         """The compiled program for these data."""
         at = self.coordinates
         given = ((at.names, at.null, at.unit), self.kind, self.steps)
-        answer = _answer_seldom if self._has_forms else _answer
+        answer = _answer_seldom if self._has_forms and self.directions else _answer
         answer.prepare(*given, *self._make_example())
         return partial(answer, *given)
 

@@ -47,12 +47,21 @@ class Curve(NumberTree):
         at = xp.minimum(s, 1.0) * (SPLINES - 1)
         if not xp.uses_jax(at, self.c):
             return sum(self.c[..., i] * _evaluate_spline(at - i) for i in range(SPLINES))
-        # All splines in one array: with each by itself programs were four times as large. A sum of
-        # halves, as XLA may have no code for a reduction here.
-        parts = self.c * _evaluate_spline(at[..., None] - np.arange(SPLINES))
-        while (half := parts.shape[-1] // 2) > 0:
-            parts = parts[..., :half] + parts[..., half:]
-        return parts[..., 0]
+        # Of all splines the four that are not zero there: with each by itself programs were four
+        # times as large, with all in one array six times as slow.
+        first = xp.minimum(xp.floor(at), SPLINES - 2.0)
+        t, u = at - first, 1 - at + first
+        one, two, three, four = self._pick_four(first)
+        ends = one * u**3 + four * t**3
+        inner = two * ((3 * t - 6) * t**2 + 4) + three * ((3 * u - 6) * u**2 + 4)
+        return (ends + inner) / 6
+
+    def _pick_four(self, first: Any) -> Any:
+        """The coefficients of the splines that are not zero between `first` and the next."""
+        import jax.numpy as jnp
+
+        padded = jnp.pad(self.c, [(0, 0)] * (self.c.ndim - 1) + [(1, 1)])
+        return [padded[..., (first + k).astype(int)] for k in range(4)]
 
 
 def _evaluate_spline(x: Number) -> Number:

@@ -22,7 +22,11 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from difffric.diagnosis.background.shape_columns import Shape, ShapeColumns, join_columns
-from difffric.diagnosis.background.small_effects import SmallEffects, step_off_null
+from difffric.diagnosis.background.small_effects import (
+    SmallEffects,
+    count_rows,
+    step_off_null,
+)
 from difffric.estimation.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import numbers_of
 
@@ -348,7 +352,7 @@ def _collect_rows(
     beside = step_off_null(task, at, free)
     c = np.repeat(beside, n, axis=0)
     c[:, 0] = at.mu[0, task.condition] + at.own[0]
-    rows = task.model.answers(np.arange(n), c, directions, True).rows
+    rows = task.model.answers(np.arange(n), c, directions, True).rows[:, :, : count_rows(task)]
     rows = (rows / at.spread[0][:, None, None]).reshape(n, -1, len(directions) + 1)
     # A push that cannot be followed beside the nulls says nothing.
     rows = np.where(np.isfinite(rows).all(axis=(1, 2), keepdims=True), rows, 0.0)

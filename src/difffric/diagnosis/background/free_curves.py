@@ -125,8 +125,7 @@ def _measure_columns(wide: EnsembleTask, joint: Fits) -> NDArray:
     count = len(names) - K
     points = np.tile(at, (1 + 2 * count, 1))
     points[1:, K:] = _STEP * np.concatenate([np.eye(count), -np.eye(count)])
-    answers = ask_at(wide, joint, points)
-    r = answers.residual.reshape(len(points), wide.n, 2, -1) / joint.spread[0][:, None]
+    r, _ = ask_at(wide, joint, points)
     up, down = ((r[1:] - r[0]) / _STEP).reshape(2, count, wide.n, -1)
     size_up, size_down = (np.einsum("knr,knr->kn", x, x) for x in (up, down))
     moved = np.where((size_up <= size_down)[..., None], up, -down)

@@ -29,7 +29,9 @@ from difffric.diagnosis.background.joint_fit import (
 from difffric.diagnosis.background.placement import place_shapes, predict_start, put_small
 from difffric.diagnosis.background.shape_columns import (
     Shape,
+    ShapeColumns,
     compute_columns,
+    join_columns,
     list_nearby,
     list_placed,
     list_shapes,
@@ -66,6 +68,9 @@ _LEADERS = 2
 """Those of them that are fitted to the end."""
 _ROUNDS = 8
 """Steps at most of the best of them, and of a fit with a set of causes freed."""
+_NEAR = 1.0
+"""Root mean square, in units of the noise, by which a fit may move until the columns of shapes are
+computed anew: they change by as small a share as what the model says does."""
 _COMPARISONS = 3
 """How often the sets are compared, each time where the last one's best set led."""
 _LEAST_SHARE = 0.1
@@ -110,6 +115,8 @@ class _JointSearch:
     joint: Fits
     shaped: tuple[str, ...] = ()
     """effects with a shape that are in the joint fit"""
+    grid: tuple[Fits, frozenset[str], ShapeColumns] | None = None
+    """a fit, and the columns of shapes of these effects over their grids there"""
 
     def weigh(self) -> Evidence:
         """Make the comparison where the joint fit stands."""
@@ -118,13 +125,29 @@ class _JointSearch:
     def _weigh_at(self, at: Fits, shaped: Sequence[str]) -> Evidence:
         """Make the comparison where a fit stands that has shapes of the effects `shaped`."""
         task = self.data.task
-        others = [effect for effect in self.effects if effect not in shaped]
-        shapes = list_placed(task, at, shaped) + list_shapes(task, others, self.data.scales)
-        evidence = self._compare_shapes(at, shapes)
+        columns = self._compute_grid(at, shaped)
+        if shaped:
+            columns = join_columns(
+                compute_columns(task, at, list_placed(task, at, shaped)), columns
+            )
+        evidence = Evidence(task, at, self.small, columns, self.background)
         # A shape that lies between two of the grid is to count as much as one that is on it.
         best = [one.items[0].shape for one in _choose_best_shapes(evidence, 1)]
         nearby = list_nearby([x for x in best if x is not None and x.along is not None])
         return evidence.add_columns(compute_columns(task, at, nearby)) if nearby else evidence
+
+    def _compute_grid(self, at: Fits, shaped: Sequence[str]) -> ShapeColumns:
+        """Compute the columns of shapes over their grids, of effects other than `shaped`; those of
+        a fit that is hardly another one are kept."""
+        others = [effect for effect in self.effects if effect not in shaped]
+        if self.grid is not None:
+            there, looked_for, columns = self.grid
+            if set(others) <= looked_for and _is_near(self.data.task, there, at):
+                return columns.pick(others)
+        shapes = list_shapes(self.data.task, others, self.data.scales)
+        columns = compute_columns(self.data.task, at, shapes)
+        self.grid = at, frozenset(others), columns
+        return columns
 
     def _compare_shapes(self, at: Fits, shapes: Sequence[Shape]) -> Evidence:
         """Make the comparison of small effects and these shapes."""
@@ -279,6 +302,16 @@ class _JointSearch:
         task = free_causes(self.data.task, self.small, evidence, items)
         self.joint = ensemble_refits.refit(task, start, _ROUNDS)
         self.shaped = (*self.shaped, *new)
+
+
+def _is_near(task: EnsembleTask, one: Fits, other: Fits) -> bool:
+    """Whether two fits (ensembles of one) differ by less than `_NEAR` of the noise."""
+    if one is other:
+        return True
+    if one.residual is None or other.residual is None:
+        return False
+    between = (one.residual[0] - other.residual[0]) / other.spread[0][:, None]
+    return float((between**2).sum()) < _NEAR**2 * float(task.counts.sum())
 
 
 def _choose_best_shapes(evidence: Evidence, of_each: int) -> list[CauseSet]:

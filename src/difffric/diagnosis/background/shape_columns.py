@@ -7,7 +7,7 @@ the residuals is taken as it is, by the difference of two answers without deriva
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -77,6 +77,19 @@ class ShapeColumns:
     """(C,) amplitude of unit size, which all shapes of one effect share"""
     typical: NDArray
     """(C,) the amplitude that one may meet"""
+
+    def pick(self, effects: Collection[str]) -> ShapeColumns:
+        """Return the shapes of some effects."""
+        kept = [k for k, shape in enumerate(self.shapes) if shape.effect in effects]
+        which = [c for k in kept for c in self.columns[k]]
+        place = {c: i for i, c in enumerate(which)}
+        return ShapeColumns(
+            tuple(self.shapes[k] for k in kept),
+            tuple(tuple(place[c] for c in self.columns[k]) for k in kept),
+            self.rows[..., which],
+            self.unit[which],
+            self.typical[which],
+        )
 
 
 def join_columns(first: ShapeColumns, second: ShapeColumns) -> ShapeColumns:
@@ -189,10 +202,7 @@ def compute_columns(task: EnsembleTask, at: Fits, shapes: Sequence[Shape]) -> Sh
         for point in one.points:
             points[row, list(point)] = list(point.values())
             row += 1
-    answers = ask_at(task, at, points)
-    spread = at.spread[0][None, None, :, None]
-    r = answers.residual.reshape(len(points), task.n, 2, -1) / spread
-    model = answers.model.reshape(len(points), task.n, 2)
+    r, model = ask_at(task, at, points)
     moved = (r[1:] - r[0]).reshape(len(points) - 1, task.n, -1)
     with np.errstate(invalid="ignore", divide="ignore"):
         change = measure_change(model[1:] / model[0] - 1)

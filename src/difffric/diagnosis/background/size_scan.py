@@ -73,7 +73,6 @@ def _place_best_size(
 def _sum_squares(task: EnsembleTask, at: Fits, points: np.ndarray) -> np.ndarray:
     """The squares (m,) of all residuals at each of the `points` (m, K); infinite where a push could
     not be followed."""
-    answers = ask_at(task, at, points)
-    left = (answers.residual.reshape(len(points), -1, 2, answers.residual.shape[-1])) ** 2
-    squares = np.einsum("mnkb,k->m", left, at.spread[0] ** -2.0)
+    r, _ = ask_at(task, at, points)
+    squares = np.einsum("mnkb,mnkb->m", r, r)
     return np.where(np.isfinite(squares), squares, np.inf)

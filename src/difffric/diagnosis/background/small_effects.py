@@ -124,20 +124,31 @@ def measure_units(task: EnsembleTask, at: Fits, small: SmallEffects) -> SmallEff
 def observe_points(task: EnsembleTask, at: Fits, points: NDArray) -> NDArray:
     """Return the relative changes (m, n, 2) of F_p and d of each push where coordinates other than
     mu_s are at `points` (m, K) in place of those of the fit `at` (an ensemble of one)."""
-    answers = ask_at(task, at, np.concatenate([at.c, points]))
-    model = answers.model.reshape(len(points) + 1, task.n, 2)
+    _, model = ask_at(task, at, np.concatenate([at.c, points]))
     with np.errstate(invalid="ignore", divide="ignore"):
         return model[1:] / model[0] - 1
 
 
-def ask_at(task: EnsembleTask, at: Fits, points: NDArray):
-    """Return the answers, without derivatives, for all pushes at each of the `points` (m, K), mu_s
-    as the fit `at` (an ensemble of one) has it."""
-    n = task.n
+def ask_at(task: EnsembleTask, at: Fits, points: NDArray) -> tuple[NDArray, NDArray]:
+    """Return what all pushes answer at each of the `points` (m, K), mu_s as the fit `at` (an
+    ensemble of one) has it: the residuals (m, n, 2, R) in units of the noise, and F_p and d
+    (m, n, 2)."""
+    n, size = task.n, len(points)
     c = np.repeat(points[:, None], n, axis=1)
     c[:, :, 0] = at.mu[0, task.condition] + at.own[0]
     none = np.zeros((0, points.shape[1]))
-    return task.model.answers(np.tile(np.arange(n), len(points)), c.reshape(-1, c.shape[2]), none)
+    found = task.model.answers(np.tile(np.arange(n), size), c.reshape(-1, c.shape[2]), none)
+    r = found.residual[..., : count_rows(task)].reshape(size, n, 2, -1)
+    return r / at.spread[0][:, None], found.model.reshape(size, n, 2)
+
+
+def count_rows(task: EnsembleTask) -> int:
+    """Count the residuals of a channel that any push has: those behind them only fill programs of
+    one shape."""
+    if not task.model.recordings:
+        return 1
+    there = [np.asarray(blocks.a).any(axis=0) for blocks in task.model.pushes.data]
+    return 1 + max(int(np.flatnonzero(x).max(initial=0)) for x in there)
 
 
 def measure_change(change: NDArray) -> NDArray:

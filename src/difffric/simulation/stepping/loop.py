@@ -28,10 +28,12 @@ from difffric.simulation.stepping.sensor_readout import sense, start_readout
 from difffric.simulation.stepping.state import LoopState
 from difffric.simulation.stepping.step_plan import StepPlan, StepStart, plan_step
 from difffric.simulation.stepping.transitions import STEADY, Rules
+from difffric.units import GRAVITY
 
 MAX_STEPS = 20_000
 """Steps after which a push is given up, so that laws that make no sense come to an end too."""
 _LOST = 1e-13  # of the push's own time: a step as short as this no longer moves it
+_ROUNDING = 1e-12  # of g: a part that has just broken away slows by less, which is rounding
 _CLOSE = 1e-4  # of a free step: an event this near to the end is reached by the Taylor step
 
 
@@ -245,7 +247,7 @@ class StepLoop(NamedTuple):
         # The force is highest where its rate falls through zero, the part slowest where x'' rises.
         closing = c.mode == Mode.CLOSING
         rises = closing & ~m.summited & (begin.dN > 0)
-        slows = begin.rate.u < 0
+        slows = begin.rate.u < -_ROUNDING * GRAVITY
         slow = closing & ~m.slowed & slows & (jnp.minimum(s.u, y.u) < 0.05 * self.motion.v)
         found[Event.FORCE_PEAK] = Guard.of_maximum(
             h, rises, (begin.N, begin.dN), (end.N, end.dN, end.ddN)
