@@ -285,7 +285,7 @@ class _CauseSearch(CauseRounds):
         self.base = self.whole = fit_causes(task, self.plain, found, items)
         if items and self.tell is not silent:
             tell_answer("what stands out, before it is judged", [x.effect for x in items])
-        if items:
+        if self.base is not self.plain:
             bare = self._leave_out(self.base, *(item.effect for item in items))
             value = ensemble.criterion(task, ensemble.join(self.plain, bare))
             if value[1] < value[0]:
@@ -316,10 +316,10 @@ class _CauseSearch(CauseRounds):
         drop, price = float(value[0] - value[1]), 2 * compute_price(found.evidence, [item])
         if drop < price:  # it was there to make up for what another one did
             return
-        score = self.scores.get(item.effect)
-        predicted = score.drop if score else 0.0
+        predicted = self.scores[item.effect].drop if item.effect in self.scores else 0.0
         one = CandidateCause(item.effect, whole, drop, predicted, p_value, drop - price)
-        others = compare_rivals(found.data.task, self.base, found, items, one)
+        by_fits = self.share <= _BACKGROUND
+        others = compare_rivals(found.data.task, self.base, found, items, one, by_fits)
         self.named.append(NamedCause(one, others, without))
 
     def _add_bristles(self, looked_for: int) -> bool:

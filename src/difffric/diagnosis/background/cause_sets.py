@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -83,6 +83,18 @@ def score_set(evidence: Evidence, items: Sequence[PossibleCause]) -> float:
         return 0.0
     found = evidence.compare([[c for item in items for c in item.columns]])
     return float(found.gain[0]) - compute_price(evidence, items)
+
+
+def find_set(evidence: Evidence, effects: Collection[str]) -> CauseSet | None:
+    """Find the set of these effects, each as it is in the fit where the comparison stands; None
+    where one of them is not in it."""
+    items = tuple(
+        x for x in evidence.items if x.effect in effects and (x.shape is None or x.shape.placed)
+    )
+    if len(items) < len(effects):
+        return None
+    found = _score(evidence, [items], every=True) if items else [CauseSet((), 0.0, ())]
+    return found[0]
 
 
 def _combine(items: Sequence[PossibleCause], k: int) -> list[tuple[PossibleCause, ...]]:

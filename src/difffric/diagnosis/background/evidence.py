@@ -146,6 +146,11 @@ class Evidence:
         return Evidence(self.task, self.at, self.small, shapes, self._background, self._columns)
 
     @property
+    def log_likelihood(self) -> float:
+        """That of no cause at all, but for a constant: fits that stand elsewhere compare by it."""
+        return self.nothing - 0.5 * float(self.task.counts.sum()) * float(np.log(self.excess))
+
+    @property
     def effects(self) -> int:
         """How many effects are compared, or 1."""
         return max(len({item.effect for item in self.items}), 1)

@@ -15,7 +15,8 @@ from difffric.diagnosis.background.cause_sets import (
     score_set,
 )
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
-from difffric.diagnosis.background.placement import put_shape, put_small
+from difffric.diagnosis.background.joint_fit import measure_left
+from difffric.diagnosis.background.placement import predict_start, put_shape, put_small
 from difffric.diagnosis.background.search import BackgroundSearch
 from difffric.diagnosis.conclusion import ALIKE
 from difffric.diagnosis.exploration import CandidateCause
@@ -34,6 +35,11 @@ _ROUNDS = 12
 """Steps at most of the fit with the causes alone."""
 _CONSIDERED = 3
 """Single causes that are told beside those that are named."""
+_HARDLY = 1e-6
+"""Share of their units by which other effects scatter in a fit without a background."""
+_BETTER = 1.05
+"""How many times as much as the joint fit the plain one leaves, where that stands at a poor place.
+"""
 _FEW_ROUNDS = 4
 """Steps at most of a fit with one of these."""
 
@@ -86,13 +92,17 @@ def compare_rivals(
     search: BackgroundSearch,
     items: Sequence[PossibleCause],
     cause: CandidateCause,
+    by_fits: bool,
 ) -> tuple[CandidateCause, ...]:
     """Return the cause, which is one of the `items` of the fit `base`, and all effects that could
     be in its place, the most probable first; those that may be confused with it are fitted there.
+
+    How much worse they are is predicted from linear answers, and taken from these fits where
+    `by_fits`: they have no background in them.
     """
     task_index, evidence = task.model.coordinates.indices, search.evidence
     mine = next(item for item in items if item.effect == cause.effect)
-    most = score_set(evidence, items)
+    most, paid = score_set(evidence, items), compute_price(evidence, items)
     rivals, starts, fitted = [], [], []
     gone = task_index(numbers_of(cause.effect))
     for one in replace_item(evidence, items, mine):
@@ -109,14 +119,26 @@ def compare_rivals(
             _put(c, task, search, one.items[-1], one.sizes[-len(one.items[-1].columns) :])
             own = task_index(numbers_of(effect))
             extra = (*(i for i in base.extra[0] if i not in gone), *own)
-            bare = {"gram": None, "residual": None, "damping": None}
-            starts.append(replace(base, c=c, extra=(extra,), **bare))
-            fitted.append(len(rivals) - 1)
+            bare = {"extra": (extra,), "gram": None, "residual": None, "damping": None}
+            starts.append(replace(base, c=c, **bare))
+            # It may fit with plain parameters and mu_s that are far from those of the cause.
+            linear = predict_start(evidence, one.items, _HARDLY)
+            rest = [i for i in range(c.shape[1]) if i not in (*task.shared, *extra)]
+            c = linear.c.copy()
+            c[0, rest] = search.small.null[rest]
+            starts.append(replace(base, c=c, mu=linear.mu, own=linear.own, **bare))
+            fitted.append((len(rivals) - 1, 2 * (one.price - paid)))
     if starts:
-        fits = ensemble_refits.refit(task, ensemble.join(*starts), _FEW_ROUNDS)
-        for j, k in enumerate(fitted):
-            rivals[k] = replace(rivals[k], fits=fits.pick([j]))
-    return (cause, *rivals)
+        rounds = _ROUNDS if by_fits else _FEW_ROUNDS
+        fits = ensemble_refits.refit(task, ensemble.join(*starts), rounds)
+        worse = ensemble.criterion(task, fits) - ensemble.criterion(task, base)[0]
+        for j, (k, dearer) in enumerate(fitted):
+            better = 2 * j + int(np.argmin(worse[2 * j : 2 * j + 2]))
+            rivals[k] = replace(rivals[k], fits=fits.pick([better]))
+            if by_fits:
+                found = cause.penalised_drop - float(worse[better]) - dearer
+                rivals[k] = replace(rivals[k], penalised_drop=found)
+    return (cause, *sorted(rivals, key=lambda one: -one.penalised_drop))
 
 
 def _put(
@@ -142,7 +164,7 @@ def fit_causes(
     """Return the best fit with these causes and no background, begun from the joint fit, and from
     the plain one with the causes as that has them and as the comparison does (all ensembles of
     one)."""
-    if not items:
+    if not items and measure_left(task, plain) < _BETTER * measure_left(task, search.joint):
         return plain
     index = task.model.coordinates.indices([n for x in items for n in numbers_of(x.effect)])
     at = search.joint.c.copy()
@@ -152,7 +174,7 @@ def fit_causes(
     there = plain.c.copy()
     there[0, index] = at[0, index]
     linear, columns = plain.c.copy(), [c for item in items for c in item.columns]
-    sizes = search.evidence.compare([columns]).best_size(0).tolist()
+    sizes = search.evidence.compare([columns]).best_size(0).tolist() if items else []
     for item in items:
         _put(linear, task, search, item, sizes[: len(item.columns)])
         sizes = sizes[len(item.columns) :]

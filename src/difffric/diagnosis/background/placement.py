@@ -23,20 +23,22 @@ _LEAST_LEVEL = 0.2
 """The share of its mu_s that a push keeps at least: no linear prediction goes further."""
 
 
-def predict_start(evidence: Evidence, items: Sequence[PossibleCause]) -> Fits:
+def predict_start(evidence: Evidence, items: Sequence[PossibleCause], share: float = WIDE) -> Fits:
     """Return the fit (an ensemble of one, without answers) with the shapes of the `items` placed,
-    of the sizes that explain most together with all other parameters. Shapes that are placed
+    of the sizes that explain most together with all other parameters; small effects among the
+    items have any size, the others scatter by a `share` of their units. Shapes that are placed
     already, and those whose size is part of the shape, stay as they are."""
     task, at, small = evidence.task, evidence.at, evidence.small
     first, index = evidence.known, list(small.index)
     chosen = [c for item in items if _has_amplitude(item) for c in item.columns]
-    whole = [item for item in items if not _has_amplitude(item)]
+    whole = [x for x in items if x.shape and not x.shape.placed and not _has_amplitude(x)]
     placed = [first + c for item in (*evidence.list_placed(), *whole) for c in item.columns]
     weight = evidence.likeliest_scatter**2
     weight = weight / (1 + weight * evidence.z)  # each push's own mu_s is eliminated
     own, kept = evidence.own, [*range(first + len(index)), *(first + c for c in chosen)]
     G = evidence.gram.sum(axis=0) - np.einsum("n,np,nq->pq", weight, own, own)
-    spread = evidence.compute_spread(WIDE, chosen)[[*range(len(index)), *chosen]]
+    of_any_size = [*chosen, *(c for item in items if item.shape is None for c in item.columns)]
+    spread = evidence.compute_spread(share, of_any_size)[[*range(len(index)), *chosen]]
     H = G[np.ix_(kept, kept)]
     H[np.diag_indices_from(H)] += np.append(np.zeros(first), spread**-2.0)
     scale = np.sqrt(np.maximum(np.diag(H), 1e-12))

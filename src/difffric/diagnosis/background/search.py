@@ -16,7 +16,7 @@ import scipy
 from difffric.diagnosis.background.cause_sets import (
     CauseSet,
     compute_price,
-    score_singles,
+    find_set,
     search_sets,
 )
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
@@ -36,7 +36,7 @@ from difffric.diagnosis.background.shape_columns import (
     list_placed,
     list_shapes,
 )
-from difffric.diagnosis.background.shape_pursuit import pursue_shapes
+from difffric.diagnosis.background.shape_pursuit import choose_best_shapes, pursue_shapes
 from difffric.diagnosis.background.size_scan import CUTTING, place_cutting_effects
 from difffric.diagnosis.background.small_effects import (
     SmallEffects,
@@ -132,7 +132,7 @@ class _JointSearch:
             )
         evidence = Evidence(task, at, self.small, columns, self.background)
         # A shape that lies between two of the grid is to count as much as one that is on it.
-        best = [one.items[0].shape for one in _choose_best_shapes(evidence, 1)]
+        best = [one.items[0].shape for one in choose_best_shapes(evidence, 1)]
         nearby = list_nearby([x for x in best if x is not None and x.along is not None])
         return evidence.add_columns(compute_columns(task, at, nearby)) if nearby else evidence
 
@@ -157,7 +157,7 @@ class _JointSearch:
     def add_shape(self, evidence: Evidence) -> bool:
         """Add the effect with a shape that helps most; whether any does."""
         task = self.small.assume(self.data.task, WIDE)
-        first = _choose_best_shapes(evidence, _OF_EACH)[:_SHAPES_FITTED]
+        first = choose_best_shapes(evidence, _OF_EACH)[:_SHAPES_FITTED]
         if not first:
             return False
         # What one effect does, small ones together may nearly do: begin without them, too.
@@ -300,7 +300,11 @@ class _JointSearch:
             first += len(item.columns)
         new = (x.effect for x in items if x.shape is not None and not x.shape.placed)
         task = free_causes(self.data.task, self.small, evidence, items)
-        self.joint = ensemble_refits.refit(task, start, _ROUNDS)
+        # One of them may be far off: a large cause alone, or the linear answer where it is none.
+        starts = ensemble.join(start, predict_start(evidence, items))
+        fits = ensemble_refits.refit(task, starts, _FIRST_ROUNDS)
+        best = int(np.argmin(ensemble.criterion(task, fits)))
+        self.joint = ensemble_refits.refit(task, fits.pick(best), _ROUNDS)
         self.shaped = (*self.shaped, *new)
 
 
@@ -312,16 +316,6 @@ def _is_near(task: EnsembleTask, one: Fits, other: Fits) -> bool:
         return False
     between = (one.residual[0] - other.residual[0]) / other.spread[0][:, None]
     return float((between**2).sum()) < _NEAR**2 * float(task.counts.sum())
-
-
-def _choose_best_shapes(evidence: Evidence, of_each: int) -> list[CauseSet]:
-    """Return as many shapes of each effect as explain most by themselves, the best first."""
-    shaped = [item for item in evidence.items if item.shape and not item.shape.placed]
-    found: list[CauseSet] = []
-    for one in score_singles(evidence, shaped):
-        if sum(one.effects == other.effects for other in found) < of_each:
-            found.append(one)
-    return found
 
 
 def free_causes(
@@ -366,8 +360,8 @@ def search_background(
             data, search.joint, small, evidence, tuple(sets), tuple(singles), first, search.shaped
         )
 
-    ended = [end()]
     freed: frozenset[str] = frozenset()
+    ended = [(freed, end())]
     for _ in range(_COMPARISONS - 1):
         if sets[0].effects == freed:
             break
@@ -375,10 +369,21 @@ def search_background(
         search.free(evidence, sets[0].items, sets[0].sizes)
         evidence = search.weigh()
         sets = search_sets(evidence, evidence.items)
-        ended.append(end())
-    if sets[0].effects != freed:  # they go to and fro: where least is left
-        ended.sort(key=lambda one: -measure_left(data.task, one.joint))
-    return ended[-1]
+        ended.append((freed, end()))
+    # Where they go to and fro a linear comparison is no guide: what was fitted counts.
+    return ended[-1][1] if sets[0].effects == freed else _choose_fitted(ended)
+
+
+def _choose_fitted(ended: Sequence[tuple[frozenset[str], BackgroundSearch]]) -> BackgroundSearch:
+    """Choose the search in which the set of effects that its fit had as causes is the most
+    probable, and let that set be its best."""
+    best, most = ended[0][1], -np.inf
+    for effects, one in ended:
+        found = find_set(one.evidence, effects)
+        if found is not None and one.evidence.log_likelihood + found.score > most:
+            most = one.evidence.log_likelihood + found.score
+            best = replace(one, sets=(found, *one.sets))
+    return best
 
 
 def fit_beside_background(

@@ -13,7 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.diagnosis.background.cause_sets import compute_price, makes_sense
+from difffric.diagnosis.background.cause_sets import (
+    CauseSet,
+    compute_price,
+    makes_sense,
+    score_singles,
+)
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
 
 
@@ -23,6 +28,16 @@ class PursuedShapes(NamedTuple):
     items: tuple[PossibleCause, ...]
     sizes: tuple[float, ...]
     """of their columns, one after the other"""
+
+
+def choose_best_shapes(evidence: Evidence, of_each: int) -> list[CauseSet]:
+    """Return as many shapes of each effect as explain most by themselves, the best first."""
+    shaped = [item for item in evidence.items if item.shape and not item.shape.placed]
+    found: list[CauseSet] = []
+    for one in score_singles(evidence, shaped):
+        if sum(one.effects == other.effects for other in found) < of_each:
+            found.append(one)
+    return found
 
 
 def pursue_shapes(evidence: Evidence, most: int) -> PursuedShapes:
