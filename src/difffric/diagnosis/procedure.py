@@ -17,6 +17,8 @@ from difffric.diagnosis.background.evidence import PossibleCause
 from difffric.diagnosis.background.free_curves import compare_with_curves
 from difffric.diagnosis.background.friction_estimate import estimate_friction
 from difffric.diagnosis.background.naming import (
+    BACKGROUND,
+    choose_by_fits,
     compare_rivals,
     fit_causes,
     fit_singles,
@@ -69,9 +71,6 @@ _FEWEST = 3
 """Pushes from which on one can be held out."""
 _ROUNDS = 40
 """Steps at most of a refit with a combination of causes."""
-_BACKGROUND = 0.05
-"""Share of their units by which small effects scatter, from which something outside the catalogue
-may pass for them."""
 _LIKE_FRICTION = "normal_force"
 """The effect that is one with mu_s where every push has the same mass."""
 _ROUNDS_WITHOUT = 6
@@ -265,6 +264,7 @@ class _CauseSearch(CauseRounds):
         small = [effect for effect in wanted if effect != PRESLIDING]
         self.tell("looking for causes", 0.3)
         found = search_background(data, self.plain, self.start.guess, small, self.matters > 0)
+        found = choose_by_fits(task, self.plain, found)
         items, p_values = keep_significant(found.evidence, found.best, SIGNIFICANT)
         if self.matters > 0:
             outstanding = list_outstanding(found.evidence, items)
@@ -272,7 +272,7 @@ class _CauseSearch(CauseRounds):
         self.scores = run_score_tests(task, self.plain, small)
         self.visible |= {effect: score.visible for effect, score in self.scores.items()}
         self.share = share = found.evidence.estimate_share(items)
-        if items or share > _BACKGROUND:
+        if items or share > BACKGROUND:
             self.tell("comparing with free curves", 0.6)
             compared = compare_with_curves(data, found, items)
             # What a curve changes by less than matters is left, and is told as what is left.
@@ -291,7 +291,7 @@ class _CauseSearch(CauseRounds):
             if value[1] < value[0]:
                 self.plain, self.lack = bare, measure_lack_of_fit(task, bare)
         self.considered = fit_singles(task, self.plain, found)
-        if share > _BACKGROUND:
+        if share > BACKGROUND:
             assumed, self.whole = fit_beside_background(data, found, items)
             if found.evidence.excess < ARRIVED:  # else no linear average is to be trusted
                 averaged = estimate_friction(found.evidence, items)
@@ -318,7 +318,7 @@ class _CauseSearch(CauseRounds):
             return
         predicted = self.scores[item.effect].drop if item.effect in self.scores else 0.0
         one = CandidateCause(item.effect, whole, drop, predicted, p_value, drop - price)
-        by_fits = self.share <= _BACKGROUND
+        by_fits = self.share <= BACKGROUND
         others = compare_rivals(found.data.task, self.base, found, items, one, by_fits)
         self.named.append(NamedCause(one, others, without))
 

@@ -31,6 +31,10 @@ What stays within that is none that matters, however well it is seen."""
 UNUSUAL = 0.01
 """A cause is one of the background where any effect of it is as large with this probability: what
 noise alone makes has to be much less probable, as one looks at clean rigs again and again."""
+BACKGROUND = 0.05
+"""Share of their units up to which small effects are none."""
+_HARDLY_TOLD = 5.0
+"""Difference of two sets' scores from which on a linear comparison is believed."""
 _ROUNDS = 12
 """Steps at most of the fit with the causes alone."""
 _CONSIDERED = 3
@@ -42,6 +46,24 @@ _BETTER = 1.05
 """
 _FEW_ROUNDS = 4
 """Steps at most of a fit with one of these."""
+
+
+def choose_by_fits(task: EnsembleTask, plain: Fits, search: BackgroundSearch) -> BackgroundSearch:
+    """Return the search with that set as its best whose fit is: of those that linear answers hardly
+    tell apart, and where there is no background, which these fits have not."""
+    rivals: dict[frozenset[str], CauseSet] = {}
+    for one in search.sets:
+        if one.score > search.best.score - _HARDLY_TOLD and len(rivals) < _CONSIDERED:
+            rivals.setdefault(one.effects, one)
+    if len(rivals) < 2 or search.evidence.estimate_share(search.best.items) > BACKGROUND:
+        return search
+    fits = [fit_causes(task, plain, search, one.items) for one in rivals.values()]
+    value = [
+        float(ensemble.criterion(task, at)[0]) + 2 * one.price
+        for at, one in zip(fits, rivals.values(), strict=True)
+    ]
+    best = list(rivals.values())[int(np.argmin(value))]
+    return replace(search, sets=(best, *(one for one in search.sets if one is not best)))
 
 
 def keep_significant(
