@@ -290,7 +290,7 @@ def _describe(way: Way, spline: Spline) -> SmoothedMotion:
         kinks=spline.kinks,
         variance=(y, speed, both),
         memory=way.end / spline.freedom,
-        modes=RecordedMotion(padded, modes, late),
+        modes=RecordedMotion(np.tile(padded, (MODES, 1)), modes, late),
     )
 
 

@@ -72,17 +72,8 @@ def _find_errors(
 
 def _raise_noise(recording: Recording, detail: Reduced, F: float, d: float, u: float) -> Reduced:
     """What was reduced, with the noise and the standard errors that the motion's errors leave."""
-    noise = detail.noise_force
-    if noise is not None and recording.force is not None:
-        # Of independent samples with the variance s^2 and one error over n of them, the mean of n
-        # has s^2 / n and F^2.
-        n = max(recording.motion.memory / recording.force.dt, 1.0)
-        white = noise.average(int(n)).level * np.sqrt(int(n))
-        noise = replace(noise, level=noise.level * float(np.hypot(1.0, np.sqrt(n) * F / white)))
     return replace(
         detail,
-        noise_force=noise,
-        release_velocity_doubt=u,
         peak_force_se=float(np.hypot(detail.peak_force_se, F)),
         sliding_distance_se=float(np.hypot(detail.sliding_distance_se, d)),
     )
