@@ -1,10 +1,9 @@
 """Smoothing splines through the samples of a moving tip, with kinks where the acceleration jumps.
 
 A cubic spline on even knots, whose third derivative is taken for white noise of an intensity that
-the samples themselves say (restricted maximum likelihood). So is the number of knots, where fewer
-do as well. What the spline smooths away besides noise is then within its posterior covariance. A
-kink has whatever size the samples say; where it lies is found with the rest, and counts among what
-is not known exactly.
+the samples themselves say (restricted maximum likelihood). What the spline smooths away besides
+noise is then within its posterior covariance. A kink has whatever size the samples say; where it
+lies is found with the rest, and counts among what is not known exactly.
 """
 
 from __future__ import annotations
@@ -19,15 +18,13 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 INTERVALS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
-"""Even intervals between knots that are tried."""
+"""Even intervals that there may be between knots; as many as the samples allow are taken."""
 MOST_KINKS = 4
 """Jumps of the acceleration that are looked for: a ramp has one, a trapezium three."""
 _DEGREE = 3
 """Of the spline: its speed is of second degree, and has no corner but at a kink."""
 _KINK = 20.0
 """What a kink must gain in -2 log likelihood: noise alone does so once in a thousand motions."""
-_AS_GOOD = 1.0
-"""What fewer knots may lose in -2 log likelihood."""
 _APART = 3.0
 """Samples between two kinks at least."""
 _PLACES = 240
@@ -39,7 +36,7 @@ _SETTLED = 1e-2
 _PER_COEFFICIENT = 4
 """Samples for each coefficient of the spline at least."""
 _STIFFEST, _SOFTEST, _STEP = 1e8, 1e-8, 0.25
-"""Range of the penalty, about the median of what the samples say of a third derivative, and the
+"""Range of the penalties, about the one under which half of the directions are followed, and the
 step [e-folds] to which the best is found."""
 
 
@@ -89,9 +86,7 @@ class Spline:
 
     def design(self, t: NDArray, slope: bool = False) -> NDArray:
         """What each coefficient adds to y, or to V, at the times t [s]."""
-        return np.column_stack(
-            [_design(self.knots, t, int(slope)), _bend(self.kinks, t, slope)]
-        )
+        return np.column_stack([_design(self.knots, t, int(slope)), _bend(self.kinks, t, slope)])
 
     def vary(self, t: NDArray, slope: bool = False) -> NDArray:
         """What a change of each coefficient and of each kink's time adds to y, or to V."""
@@ -100,16 +95,11 @@ class Spline:
 
 
 def smooth_way(way: Way) -> Spline:
-    """The smoothing spline through a way, on as many knots as its samples allow."""
+    """The smoothing spline through a way, with the kinks that it needs, on as many knots as its
+    samples allow."""
     most = len(way.t) / _PER_COEFFICIENT
-    return fit_spline(way, max(n for n in INTERVALS if n == 1 or n + _DEGREE <= most))
-
-
-def fit_spline(way: Way, intervals: int, kinks: Sequence[float] = ()) -> Spline:
-    """The smoothing spline of so many even intervals, with the kinks that it needs besides some
-    that are known."""
-    base = _Basis(way, intervals)
-    spline = base.fit(base.refine(kinks))
+    base = _Basis(way, max(n for n in INTERVALS if n == 1 or n + _DEGREE <= most))
+    spline = base.fit(())
     while len(spline.kinks) < MOST_KINKS:
         place = base.find_kink(spline.kinks)
         if place is None:
@@ -119,6 +109,13 @@ def fit_spline(way: Way, intervals: int, kinks: Sequence[float] = ()) -> Spline:
             break
         spline = new
     return spline
+
+
+def smooth_again(way: Way, spline: Spline) -> Spline:
+    """The smoothing spline through a way that hardly differs from that of `spline`, with as many
+    knots and kinks."""
+    base = _Basis(way, spline.intervals)
+    return base.fit(base.refine(spline.kinks))
 
 
 @dataclass(frozen=True)
@@ -277,9 +274,7 @@ def _bend(kinks: Sequence[float] | NDArray, t: NDArray, slope: bool) -> NDArray:
     return 2 * beyond if slope else beyond**2
 
 
-def _move_kinks(
-    kinks: Sequence[float], coefficients: NDArray, t: NDArray, slope: bool
-) -> NDArray:
+def _move_kinks(kinks: Sequence[float], coefficients: NDArray, t: NDArray, slope: bool) -> NDArray:
     """What a change of each kink's time adds to y, or to V, at the times t [s]."""
     beyond = np.maximum(t[:, None] - np.asarray(kinks, float)[None], 0.0)
     sizes = -2 * coefficients[len(coefficients) - len(kinks) :]

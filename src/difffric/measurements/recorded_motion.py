@@ -1,8 +1,8 @@
 """A recorded tip's motion, smoothed: what drives a push whose set-up asks for the recorded pusher.
 
-A cubic spline on even knots, with a kink of its own wherever the acceleration jumps, is fitted to
-the samples of the channel `pusher` by least squares. The number of knots, and with it the bandwidth
-below which the motion is followed, is that of the least expected error (AICc).
+A smoothing spline with a kink wherever the acceleration jumps goes through the samples of the
+channel `pusher` (`motion_splines`). How far it may be off is told as independent modes, each a
+motion that may have to be added.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from difffric.measurements.motion_splines import (
     MOST_KINKS,
     Spline,
     Way,
-    fit_spline,
+    smooth_again,
     smooth_way,
 )
 from difffric.measurements.noise import estimate_quiet_noise
@@ -68,13 +68,14 @@ class SmoothedMotion:
     noise: float
     """standard deviation of a sample of the channel [m]"""
     bandwidth: float
-    """[Hz] half the knots that there are in a second"""
+    """[Hz] half the numbers that the samples determine in a second"""
     kinks: tuple[float, ...]
     """when the acceleration jumps [s]"""
     variance: tuple[float, float, float]
     """mean over the motion of the variance of y [m^2], of V [m^2/s^2], and their covariance"""
     memory: float
-    """over which the errors of y and V are one [s]: the motion's time a coefficient"""
+    """over which the errors of y and V are one [s]: the motion's time over the numbers that the
+    samples determine"""
     modes: RecordedMotion
     """stacked changes of `law`, by which the motion may be off: independent, each a standard
     deviation"""
@@ -156,7 +157,7 @@ def smooth_motion(recording: Recording) -> SmoothedMotion:
         if end == way.end:
             break
         way = _find_way(recording, end)
-        spline = fit_spline(way, spline.intervals, spline.kinks)
+        spline = smooth_again(way, spline)
     return _describe(way, spline)
 
 
@@ -201,8 +202,9 @@ def _find_way(recording: Recording, end: float | None = None) -> Way:
     size = -(-int(inside.sum()) // _ROWS)
     n = int(inside.sum()) // size * size
     rows_t, rows_y = (x[:n].reshape(-1, size).mean(axis=1) for x in (t, y))
-    held = [] if sudden else [(end, level, standing)]
-    rows = np.array([(0.0, 0.0, len(quiet)), *zip(rows_t, rows_y, np.full(len(rows_t), size)), *held])
+    rows = np.column_stack([rows_t, rows_y, np.full(len(rows_t), size)])
+    first, last_row = [(0.0, 0.0, len(quiet))], [(end, level, standing)]
+    rows = np.vstack([first, rows] if sudden else [first, rows, last_row])
     return Way(
         t=rows[:, 0],
         y=rows[:, 1],
@@ -235,8 +237,8 @@ def _measure_noise(channel: Channel) -> float:
 def _find_stop(
     t: NDArray, y: NDArray, level: float, noise: float, dt: float
 ) -> tuple[float, float]:
-    """(when the tip comes to where it stands [s], how fast [m/s]): where a line through its last samples before meets
-    that level, near the first sample that is there but for the noise."""
+    """(when the tip comes to where it stands [s], how fast [m/s]): where a line through its last
+    samples before meets that level, near the first sample that is there but for the noise."""
     most = max(_FEWEST, int(_STRAIGHT / dt))
     some = slice(max(len(t) - 1 - most, 0), len(t) - 1)
     slope, offset = np.polyfit(t[some] - t[-1], y[some], 1)

@@ -2,8 +2,8 @@
 
 A smoothed motion may be off in some dozens of independent ways, its modes. Each moves the model's
 force and position over the whole push: through the contact, the release and every contact after it.
-A push is followed with each of them, and what they do, over the noise, are the columns of D. Residuals
-multiplied by (1 + D D^T)^(-1/2) are then as independent, and of unit variance, as without the error.
+A push is followed with each of them, and what they do, over the noise, are the columns of D.
+Residuals multiplied by (1 + D D^T)^(-1/2) are then independent again, and of unit variance.
 """
 
 from __future__ import annotations
