@@ -25,6 +25,8 @@ _DEGREE = 3
 """Of the spline: its speed is of second degree, and has no corner but at a kink."""
 _KINK = 20.0
 """What a kink must gain in -2 log likelihood: noise alone does so once in a thousand motions."""
+_AS_GOOD = 1.0
+"""-2 log likelihood by which a penalty may be worse than the likeliest: a standard deviation."""
 _APART = 3.0
 """Samples between two kinks at least."""
 _PLACES = 240
@@ -152,11 +154,15 @@ class _Basis:
         return np.exp(span) / np.median(s[: self.intervals] ** 2)
 
     def fit(self, kinks: Sequence[float]) -> Spline:
-        """The spline with these kinks, under the penalty that is likeliest."""
+        """The spline with these kinks, under the softest penalty that is as likely as any but for
+        `_AS_GOOD`: a motion that keeps its speed is else taken to be smoother than samples show."""
         products = self._multiply(kinks)
-        best = min(self._penalties, key=lambda x: self._measure(x, products))
-        near = best * np.exp(np.arange(-1.0, 1.0 + _STEP, _STEP))
-        return self._solve(min(near, key=lambda x: self._measure(x, products)), kinks)
+        every = [self._measure(x, products) for x in self._penalties]
+        worth = min(every) + _AS_GOOD
+        softest = self._penalties[next(i for i, x in enumerate(every) if x <= worth)]
+        near = softest * np.exp(np.arange(-1.0, _STEP, _STEP))
+        found = next(x for x in near if x == near[-1] or self._measure(x, products) <= worth)
+        return self._solve(found, kinks)
 
     def _multiply(self, kinks: Sequence[float]) -> tuple[NDArray, NDArray]:
         """Products of [kinks' columns, samples] with each other and with the rotated spline's."""

@@ -276,7 +276,9 @@ def _describe(way: Way, spline: Spline) -> SmoothedMotion:
     padded[: len(corners)] = corners
     t = (np.arange(_FINE) + 0.5) * way.end / _FINE
     changes, ends_late = _list_modes(way, spline, t)
-    B, dB = spline.vary(t) @ changes, spline.vary(t, slope=True) @ changes
+    # The law begins at 0: only the way since then may be off.
+    B = (spline.vary(t) - spline.vary(np.zeros(1))) @ changes
+    dB = spline.vary(t, slope=True) @ changes
     y, speed, both = (float(np.mean(np.sum(a * b, 1))) for a, b in ((B, B), (dB, dB), (B, dB)))
     most = changes.shape[1]
     modes = np.zeros((MODES, PIECES + 1, 3))
