@@ -32,7 +32,7 @@ TIP_NOISE = 3e-7
 def test_a_recorded_tip_leaves_nothing_to_name_and_its_ramp_is_named_without_it(tmp_path):
     """The two slowest pushes are caught again, once and twice."""
     rng = np.random.default_rng([0, 77])
-    pushes = draw_pushes(rng, {"A": MU_S}, SCATTER, MM_MIN * np.linspace(1000, 4500, 8))
+    pushes = draw_pushes(rng, {"A": MU_S}, SCATTER, list(MM_MIN * np.linspace(1000, 4500, 8)))
     case = Case(0, "recordings", RIG, {"A": MU_S}, SCATTER, pushes, effects=EFFECTS)
     data = df.load(simulate.write(case, tmp_path, TIP_NOISE))
     assert sorted(run.contacts for run in simulate.answers(case))[-2:] == [2, 3]

@@ -42,6 +42,10 @@ _STIFFEST, _SOFTEST, _STEP = 1e8, 1e-8, 0.25
 step [e-folds] to which the best is found."""
 
 
+Kinks = Sequence[float] | NDArray
+"""Times [s]."""
+
+
 class Way(NamedTuple):
     """A tip's way, as a spline takes it: rows of (time, position, weight)."""
 
@@ -153,7 +157,7 @@ class _Basis:
         span = np.arange(np.log(_SOFTEST), np.log(_STIFFEST), 1.0)
         return np.exp(span) / np.median(s[: self.intervals] ** 2)
 
-    def fit(self, kinks: Sequence[float]) -> Spline:
+    def fit(self, kinks: Kinks) -> Spline:
         """The spline with these kinks, under the softest penalty that is as likely as any but for
         `_AS_GOOD`: a motion that keeps its speed is else taken to be smoother than samples show."""
         products = self._multiply(kinks)
@@ -164,7 +168,7 @@ class _Basis:
         found = next(x for x in near if x == near[-1] or self._measure(x, products) <= worth)
         return self._solve(found, kinks)
 
-    def _multiply(self, kinks: Sequence[float]) -> tuple[NDArray, NDArray]:
+    def _multiply(self, kinks: Kinks) -> tuple[NDArray, NDArray]:
         """Products of [kinks' columns, samples] with each other and with the rotated spline's."""
         way = self.way
         columns = np.column_stack([_bend(kinks, way.t, False), way.y]) * way.weight[:, None]
@@ -182,7 +186,7 @@ class _Basis:
         rough = penalty * self._rotated[1][: self.intervals] ** 2
         return float(inner[-1, -1] - sizes @ inner[:-1, -1] + np.sum(np.log1p(1 / rough)))
 
-    def _solve(self, penalty: float, kinks: Sequence[float]) -> Spline:
+    def _solve(self, penalty: float, kinks: Kinks) -> Spline:
         Q, s, back = self._rotated
         way, m = self.way, len(kinks)
         products = self._multiply(kinks)
@@ -211,7 +215,7 @@ class _Basis:
             penalty,
         )
 
-    def find_kink(self, kinks: Sequence[float]) -> float | None:
+    def find_kink(self, kinks: Kinks) -> float | None:
         """Where a further kink explains most [s], under whatever penalty; None where there is no
         place for one."""
         way = self.way
@@ -238,7 +242,7 @@ class _Basis:
             found.append((self._measure(penalty, products) - float(gain[at]), float(places[at])))
         return min(found)[1]
 
-    def refine(self, kinks: Sequence[float]) -> list[float]:
+    def refine(self, kinks: Kinks) -> list[float]:
         """The kinks moved to where they explain most, in order; those that run into each other or
         out of the motion stay where they were."""
         way, found = self.way, np.sort(np.asarray(kinks, float))
@@ -274,13 +278,13 @@ def _design(knots: NDArray, t: NDArray, order: int) -> NDArray:
     return BSpline(knots, unit, _DEGREE).derivative(order)(t)
 
 
-def _bend(kinks: Sequence[float] | NDArray, t: NDArray, slope: bool) -> NDArray:
+def _bend(kinks: Kinks, t: NDArray, slope: bool) -> NDArray:
     """What each kink's size adds to y, or to V, at the times t [s]."""
     beyond = np.maximum(t[:, None] - np.asarray(kinks, float)[None], 0.0)
     return 2 * beyond if slope else beyond**2
 
 
-def _move_kinks(kinks: Sequence[float], coefficients: NDArray, t: NDArray, slope: bool) -> NDArray:
+def _move_kinks(kinks: Kinks, coefficients: NDArray, t: NDArray, slope: bool) -> NDArray:
     """What a change of each kink's time adds to y, or to V, at the times t [s]."""
     beyond = np.maximum(t[:, None] - np.asarray(kinks, float)[None], 0.0)
     sizes = -2 * coefficients[len(coefficients) - len(kinks) :]

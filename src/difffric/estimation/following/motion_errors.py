@@ -105,10 +105,10 @@ def blind_grids(
     force, position = pushes.force, pushes.position
     grids = [force, position if position.t is not None else position._replace(t=force.t)]
     found = [np.zeros((*grid.y.shape, DIRECTIONS)) for grid in grids]
-    for i in range(n if rigs is not None else 0):
+    for i, rig in enumerate(rigs or ()):
         own = [pytrees.pick(grid, i) for grid in grids]
         times = [np.asarray(grid.t) - offsets[i] for grid in own]
-        moved = _displace(rigs[i], float(pushes.velocity[i]), recordings[i], *times)
+        moved = _displace(rig, float(pushes.velocity[i]), recordings[i], *times)
         for j, (grid, x) in enumerate(zip(own, moved, strict=True)):
             mean = x.copy()
             mean[1:-1] += grid.curve * (x[:-2] - 2 * x[1:-1] + x[2:])
@@ -130,9 +130,9 @@ def blind_blocks(
     """Uneven blocks of force and position blind to what the errors of the recorded motions do to
     the pushes of `rigs`; as yet to nothing, where the rigs are not known (None)."""
     found = [np.zeros((*channel.y.shape, DIRECTIONS)) for channel in blocks]
-    for i in range(len(recordings) if rigs is not None else 0):
+    for i, rig in enumerate(rigs or ()):
         own = [pytrees.pick(channel._replace(doubt=None), i) for channel in blocks]
-        moved = _displace(rigs[i], float(velocity[i]), recordings[i], own[0].t, own[1].t)
+        moved = _displace(rig, float(velocity[i]), recordings[i], own[0].t, own[1].t)
         for j, (channel, x) in enumerate(zip(own, moved, strict=True)):
             mean = 0.5 * (x[channel.first] + x[channel.second])
             before = np.maximum(np.arange(len(mean)) - 1, 0)
