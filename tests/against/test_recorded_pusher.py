@@ -3,6 +3,8 @@ the hidden cases, which shares no code with the library."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -91,7 +93,8 @@ def test_a_motion_that_may_be_faster_displaces_force_and_position_as_a_faster_pu
     """Through release and rest; where a mode does nothing, nothing is displaced."""
     share, end = 1e-4, STROKE / SPEED
     motion = motion_of([0.0], [[SPEED, 0.0, 0.0]], end)
-    rates, late = np.zeros((MODES, *motion.rates.shape)), np.zeros(MODES)
+    rates = np.zeros((MODES, *motion.rates.shape))
+    late: Any = np.zeros(MODES)
     rates[0, 0, 0], late[0] = share * SPEED, -share * end
     modes = RecordedMotion(np.tile(motion.corners, (MODES, 1)), rates, late)
     t = np.linspace(-0.005, 0.08, 200) + 1.7e-5

@@ -53,4 +53,4 @@ def test_a_recorded_tip_leaves_nothing_to_name_and_its_ramp_is_named_without_it(
 
 def check_friction(mu_s, error, truth):
     """Within two standard errors of each push's own."""
-    assert (np.abs(mu_s - truth) < 2 * error).all()
+    assert (np.abs(np.asarray(mu_s) - truth) < 2 * np.asarray(error)).all()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -284,7 +285,7 @@ def _describe(way: Way, spline: Spline) -> SmoothedMotion:
     modes = np.zeros((MODES, PIECES + 1, 3))
     by = find_rates(spline.vary(inside.ravel(), True) @ changes)
     modes[:most, : len(corners)] = np.moveaxis(by, 2, 0)
-    late = np.zeros(MODES)
+    late: Any = np.zeros(MODES)
     late[:most] = ends_late
     return SmoothedMotion(
         law=RecordedMotion(padded, rates, way.end),

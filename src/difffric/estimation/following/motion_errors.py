@@ -70,7 +70,8 @@ def _follow_modes(rig: Any, velocity: Any, motion: Any, modes: Any, t_force: Any
         moved = RecordedMotion(
             motion.corners, motion.rates + sign * mode.rates, motion.end + sign * mode.end
         )
-        push = Push.of(parameters.with_stroke(rig, moved), velocity, RungeKutta())
+        integrator: Any = RungeKutta()
+        push = Push.of(parameters.with_stroke(rig, moved), velocity, integrator)
         return Trajectory.of(push, TRACE_CYCLES, TRACE_STRIDES).read(t_force, t_x)
 
     twice = jax.tree.map(lambda x: jnp.concatenate([x, x]), modes)
