@@ -3,11 +3,14 @@ the hidden cases, which shares no code with the library."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 import difffric as df
-from difffric.measurements.recorded_motion import PIECES
+from difffric.estimation.following.motion_errors import displace_push
+from difffric.measurements.recorded_motion import MODES, PIECES
 from difffric.rig import parameters
 from difffric.rig.pusher import RecordedMotion
 from difffric.simulation.stepping.integrator import RungeKutta
@@ -84,3 +87,23 @@ def test_a_ramp_and_its_derivatives_are_those_of_the_independent_simulator():
         slope = (up - down) / (2 * step)
         ours = np.array([float(found.peak_force[name]), float(found.sliding_distance[name])])
         np.testing.assert_allclose(ours, slope, rtol=1e-4, atol=0)
+
+
+def test_a_motion_that_may_be_faster_displaces_force_and_position_as_a_faster_push_does():
+    """Through release and rest; where a mode does nothing, nothing is displaced."""
+    share, end = 1e-4, STROKE / SPEED
+    motion = motion_of([0.0], [[SPEED, 0.0, 0.0]], end)
+    rates = np.zeros((MODES, *motion.rates.shape))
+    late: Any = np.zeros(MODES)
+    rates[0, 0, 0], late[0] = share * SPEED, -share * end
+    modes = RecordedMotion(np.tile(motion.corners, (MODES, 1)), rates, late)
+    t = np.linspace(-0.005, 0.08, 200) + 1.7e-5
+    found = displace_push(RIG_IN_FRONT, SPEED, motion, modes, t, t)
+    faster, slower = (df.simulate(RIG_IN_FRONT, (1 + x) * SPEED) for x in (share, -share))
+    ends = [np.asarray(one.segments.t)[np.isfinite(one.segments.t)] for one in (faster, slower)]
+    beside = (np.abs(t[:, None] - np.concatenate(ends)) < 2 * share * end).any(axis=1)
+    for ours, read in ((found.force, "force"), (found.position, "position")):
+        theirs = 0.5 * (np.asarray(getattr(faster, read)(t)) - getattr(slower, read)(t))
+        scale = np.abs(theirs).max()
+        np.testing.assert_allclose(ours[~beside, 0], theirs[~beside], atol=1e-4 * scale)
+        assert (ours[:, 1:] == 0).all()

@@ -120,8 +120,8 @@ def _compare_channel(
         one = a - b
         zero = float(one @ residual / (one @ one))
         residual = residual - zero * one
-        if grid.doubt is not None:
-            residual = residual - grid.doubt[i] * (grid.doubt[i] @ residual)
+    if grid.doubt is not None:
+        residual = residual - grid.doubt[i] @ (grid.doubt[i].T @ residual)
     n = int(np.flatnonzero(a)[-1]) + 1
     whitened = np.where(a > 0, weight * residual, np.nan)
     return TraceComparison(t[:n], y[:n] - zero, model[:n], whitened[:n])

@@ -21,7 +21,13 @@ from difffric.calibration.result import FitState
 from difffric.calibration.table_starts import fit_forces
 from difffric.errors import InputError, NumericalError
 from difffric.estimation import coordinates
-from difffric.estimation.descent import Model, Settled, first_point, prepare_descent
+from difffric.estimation.descent import (
+    Model,
+    Settled,
+    blind_to_motion,
+    first_point,
+    prepare_descent,
+)
 from difffric.estimation.mixed_fit import ROUNDS, settle
 from difffric.estimation.push_friction import rescan_push_friction, spread_push_friction
 from difffric.estimation.stacked_data import (
@@ -149,8 +155,11 @@ class RecordingSearch:
         compiling.start()
         return compiling
 
-    def _stack_samples(self, jumps: NDArray | None, stiffest: float = 0.0) -> tuple[Model, FitData]:
-        """The samples as a fit takes them, without those beside the `jumps` [s] of each push.
+    def _stack_samples(
+        self, jumps: NDArray | None, stiffest: float = 0.0, at: Settled | None = None
+    ) -> tuple[Model, FitData]:
+        """The samples as a fit takes them, without those beside the `jumps` [s] of each push, and
+        blind to what the errors of recorded motions do to the pushes as they are `at` a point.
 
         Blocks suit a contact of `stiffest` [N/m], or one as much stiffer than the set-up says as a
         rough guess may be off.
@@ -169,7 +178,10 @@ class RecordingSearch:
             _GUARD if self.model.free_start else 0.0,
             pushes.motion,
         )
-        return replace(self.model, rig=rig), replace(data, worth=self.near or 0.0)
+        model, data = replace(self.model, rig=rig), replace(data, worth=self.near or 0.0)
+        if pushes.motion is not None:
+            data = blind_to_motion(model, data, self.reduction.recordings, at)
+        return model, data
 
     def _follow(self, start: Settled | None) -> FitState:
         """Fit the samples, leaving out those beside the jumps of the model as it stands."""
@@ -191,7 +203,7 @@ class RecordingSearch:
         tell_best_fit(model, at, self.tell)
         while rounds > _LAST_ROUNDS:
             jumps = np.asarray(at.end.jumps)[: data.n]
-            model, data = self._stack_samples(jumps, stiffest)
+            model, data = self._stack_samples(jumps, stiffest, at)
             rounds //= 2
             at = settle(model, data, at, trust=_TRUST, rounds=rounds)
             while elsewhere and (poor := _misfit_of_pushes(data, at) > _POOR).any():

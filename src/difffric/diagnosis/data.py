@@ -22,6 +22,7 @@ from difffric.estimation.extended_model import (
     StackedPushes,
 )
 from difffric.estimation.following.answer_in_columns import list_served
+from difffric.estimation.following.motion_errors import blind_blocks
 from difffric.estimation.stacked_data import find_strokes
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.reduction.reduce import Reduction
@@ -94,6 +95,8 @@ def prepare_data(
         values = parameters.values(rig)
         frequency = np.sqrt(float(values["k_N_per_m"]) / mass.min())
         data = stack_uneven(reduction.recordings, reduction.details, strokes, frequency)
+        if measured.motion is not None:
+            data = blind_blocks(data, measured.velocity, reduction.recordings, None)
         counts = np.stack([(blocks.a > 0).sum(axis=1) for blocks in data], axis=1).astype(float)
         open_ = (False, False)
         # A recorded motion is the whole motion: no effect of a pusher stands around it.
@@ -118,6 +121,25 @@ def prepare_data(
     looked_for = tuple(e for e in (*CATALOGUE, RATIO) if e not in left_out and e not in impossible)
     scales = _estimate_scales(rig, measured, strokes, mass)
     return DiagnosisData(task, scales, measured, looked_for, impossible, reduction)
+
+
+def blind_to_motion(data: DiagnosisData, plain: Rig, fits: Fits) -> DiagnosisData:
+    """Return the data blind to what the errors of recorded motions do to the pushes of a plain rig
+    with the numbers of `fits` (an ensemble of one); as they are, where none is recorded."""
+    if data.measured.motion is None or data.reduction is None:
+        return data
+    task = data.task
+    values = task.model.coordinates.values(fits.c[0], PLAIN)
+    shared = dict(zip(PLAIN, map(float, values), strict=True))
+    mu_s = np.exp(fits.mu[0, task.condition] + fits.own[0])
+    pushes = task.model.pushes
+    rigs = [
+        parameters.with_values(plain, shared | {"mu_s": float(mu), "mass_kg": float(mass)})
+        for mu, mass in zip(mu_s, pushes.mass, strict=True)
+    ]
+    blocks = blind_blocks(pushes.data, pushes.velocity, data.reduction.recordings, rigs)
+    model = replace(task.model, pushes=pushes._replace(data=blocks))
+    return replace(data, task=replace(task, model=model))
 
 
 def follow_in_columns(data: DiagnosisData) -> DiagnosisData:

@@ -145,8 +145,7 @@ def _make_blank_data(data: DiagnosisData, new: StackedPushes) -> Any:
                 blank = Channel.of(np.zeros(int(end / channel.dt)), channel.dt, 0.0, channel.unit)
             part.append(make_uneven(blank, noise, (0.0, stop), beside, np.inf, end, _LONGEST))
     sizes = [(b.y.shape[1], b.t.shape[1]) for b in old]
-    force, position = (pad_uneven(p, *size) for p, size in zip(parts, sizes, strict=True))
-    return force, position._replace(doubt=np.zeros_like(position.y))
+    return tuple(pad_uneven(p, *size) for p, size in zip(parts, sizes, strict=True))
 
 
 def _follow(

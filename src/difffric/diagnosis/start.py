@@ -23,6 +23,7 @@ from difffric.calibration.free_parameters import (
 from difffric.diagnosis.background.growing_horizon import start_plain_fit
 from difffric.diagnosis.data import (
     DiagnosisData,
+    blind_to_motion,
     follow_in_columns,
     free_plain,
     place_at,
@@ -136,6 +137,7 @@ def prepare_start(
     if fitted is None:
         tell("fitting the plain rig", 0.1)
         at = start_plain_fit(data, guess)
+        data = blind_to_motion(data, plain, at)
     else:
         at = place_at(data.task, fitted.rig, fitted.mu_s, fitted.scatter)
         at = _add_known(data.task, at, known)

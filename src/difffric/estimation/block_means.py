@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,14 +132,6 @@ def stack_even(
     if same:
         grids[1] = grids[1]._replace(t=None)
     levels = np.array([[1.0 if c is None else c[3].level for c in row] for row in made])
-    if any(x.release_velocity_doubt for x in details):
-        whole = grids[1]
-        times: Any = grids[0].t if whole.t is None else whole.t
-        doubts = []
-        for i, detail in enumerate(details):
-            own = times[i], whole.a[i], whole.b[i], whole.before[i]
-            doubts.append(_find_doubt(*own, detail, levels[i, 1]))
-        grids[1] = whole._replace(doubt=np.stack(doubts))
     kept = np.array([[0 if c is None else c[2].sum() for c in row] for row in made])
     total = sum(len(c[0]) for row in made for c in row if c is not None)
     return EvenBlocks(
@@ -193,7 +185,7 @@ class UnevenBlocks(NamedTuple):
     samples: NDArray
     """(): how many samples all blocks hold"""
     doubt: NDArray | None = None
-    """(m,) as of `residuals.Grid`"""
+    """(m, any) as of `residuals.Grid`"""
 
 
 def make_uneven(
@@ -307,39 +299,7 @@ def stack_uneven(
     while m < max(len(p.y) for parts in both for p in parts):
         m *= 2
     first, second = (pad_uneven(parts, m, 2 * m) for parts in both)
-    return first, _add_doubt(second, details)
-
-
-def _add_doubt(position: UnevenBlocks, details: Sequence[Reduced]) -> UnevenBlocks:
-    """Positions with the direction that they are in doubt of: zeros where a push has none, so that
-    one program serves all."""
-    rows = []
-    for i, detail in enumerate(details):
-        t, a, b = position.t[i], position.a[i], position.b[i]
-        middle = 0.5 * (t[position.first[i]] + t[position.second[i]])
-        before = np.maximum(np.arange(len(a)) - 1, 0)
-        rows.append(_find_doubt(middle, a, b, before, detail, 1.0))
-    return position._replace(doubt=np.stack(rows))
-
-
-def _find_doubt(
-    t: NDArray, a: NDArray, b: NDArray, before: NDArray, detail: Reduced, level: float
-) -> NDArray:
-    """`residuals.Grid.doubt` (m,) of block means at the times t [s], whitened by a and b and the
-    index of the one before; `level` [m] is the unit of the whitened ones.
-
-    A speed at release that is off moves the part by as much a second until it rests.
-    """
-    release, rest = detail.release_time, detail.rest_time
-    if not (np.isfinite(release) and np.isfinite(rest)):
-        return np.zeros(len(t))
-    moved = detail.release_velocity_doubt / level * np.clip(t - release, 0.0, rest - release)
-    one, moved = (a * x - b * x[before] for x in (np.ones(len(t)), moved))
-    norm = float(one @ one)
-    moved = moved - one * (float(one @ moved) / norm if norm > 0 else 0.0)
-    size = float(moved @ moved)
-    # (1 + D D^T)^(-1/2) = 1 - w w^T
-    return moved * np.sqrt((1.0 - 1.0 / np.sqrt(1.0 + size)) / size) if size > 0 else moved
+    return first, second
 
 
 def pad_uneven(parts: Sequence[UnevenBlocks], m: int, e: int) -> UnevenBlocks:

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.compute import pytrees
-from difffric.estimation.coordinates import START, Layout, to_value
+from difffric.estimation.coordinates import START, Layout, rig_at, to_value
+from difffric.estimation.following.motion_errors import blind_grids
 from difffric.estimation.following.respond_in_columns import respond_in_columns
 from difffric.estimation.mixed_model import (
     MAX_STEPS,
@@ -29,6 +30,7 @@ from difffric.estimation.mixed_model import (
 from difffric.estimation.residuals import Rows
 from difffric.estimation.restricted_likelihood import Components, LinearModel, linearise
 from difffric.estimation.stacked_data import RECORDINGS, FitData, pad
+from difffric.measurements.recordings import Recording
 from difffric.rig.rig import Rig
 from difffric.simulation.columns import serves
 from difffric.timings import count_followed
@@ -86,6 +88,23 @@ class Settled:
         """Whether nothing is left to gain by the derivatives either; not so where the optimum
         lies at a change of regime, at which derivatives jump."""
         return abs(self.components.gain) < 100 * ARRIVED
+
+
+def blind_to_motion(
+    model: Model, data: FitData, recordings: Sequence[Recording], at: Settled | None
+) -> FitData:
+    """The data of recordings blind to what the errors of the recorded motions do to the pushes as
+    they are `at` a point; as yet to nothing, where there is none."""
+    rigs, offsets = None, np.zeros(data.n)
+    if at is not None:
+        c = model.layout.fixed + model.layout.selection @ at.theta
+        c[:, 0] += at.s_eta
+        c[:, -1] += at.start
+        rigs = [rig_at(model.rig, each) for each in c]
+        offsets = np.asarray(to_value(START, c[:, -1]))
+    weights = data.weights[:, [0, data.weights.shape[1] // 2]]
+    pushes = blind_grids(data.pushes, data.n, weights, recordings, rigs, offsets)
+    return replace(data, pushes=pushes)
 
 
 def first_point(model: Model, data: FitData, theta: NDArray) -> Settled:

@@ -126,7 +126,7 @@ def _answer_recordings(
             norm = jnp.sum(one**2)
             A = A - one[:, None] * ((one @ A) / jnp.where(norm > 0, norm, 1.0))
         if blocks.doubt is not None:
-            A = A - blocks.doubt[:, None] * (blocks.doubt @ A)
+            A = A - blocks.doubt @ (blocks.doubt.T @ A)
         return A
 
     by_f, by_x = (jnp.moveaxis(a, 0, 1) for a in by)

@@ -60,20 +60,27 @@ def predict_held_out(task: EnsembleTask, fits: Fits, folds: NDArray) -> HeldOut:
         at = refits.place_at(task, fits, now + refits.solve_within(H, g, now, *limits))
         c[:, out], mu[:, out] = at.c[:, None], at.mu[:, task.condition[out]]
         noise[:, :, out] = _foresee_squares(task, H, H_i[:, out], np.flatnonzero(out))
-    found = _predict(task, fits, c, mu, noise)
+    start = _keep_friction(task, fits, mu)
+    found = _predict(task, start, c, mu, noise)
     seen = np.einsum("mnk,mk->mn", fits.gram[..., -1, -1], 1.0 / fits.spread**2)
     numbers = task.counts.sum(axis=1)
     jumps = found.squares > seen + _JUMP * np.sqrt(2 * numbers)
-    branches = _choose_branches(task, fits, jumps, c, mu)
-    if branches is not fits:
-        fits, found = branches, _predict(task, branches, c, mu, noise)
+    branches = _choose_branches(task, start, jumps, c, mu)
+    if branches is not start:
+        start, found = branches, _predict(task, branches, c, mu, noise)
     astray = found.squares > _ASTRAY * (seen + numbers)
     for j, fold in {(j, folds[i]) for j, i in np.argwhere(astray)}:
         out = folds == fold
         at = replace(fits.pick([j]), gram=None, residual=None, damping=None)
         at = refits.refit(task, at, _ANEW, np.flatnonzero(~out))
         c[j, out], mu[j, out] = at.c, at.mu[0, task.condition[out]]
-    return _predict(task, fits, c, mu, noise) if astray.any() else found
+    return _predict(task, start, c, mu, noise) if astray.any() else found
+
+
+def _keep_friction(task: EnsembleTask, fits: Fits, mu: NDArray) -> Fits:
+    """The fits with each push's own mu_s what it was, where its condition's log mu_s is mu (m, n)
+    without it: from there it is estimated anew."""
+    return replace(fits, own=fits.own + fits.mu[:, task.condition] - mu)
 
 
 def _foresee_squares(task: EnsembleTask, H: NDArray, H_i: NDArray, which: NDArray) -> NDArray:

@@ -116,8 +116,8 @@ class Grid(NamedTuple):
     curve: Array
     """(): 1/24 of a block's squared length over the squared step, 0 for single samples"""
     doubt: Array | None = None
-    """(m,) w, where something besides noise is not known of the position: whitened, centred
-    residuals r are taken as r - w (w r). None: nothing"""
+    """(m, any) W, where something besides noise is not known of the model: whitened (and centred)
+    residuals r are taken as r - W (W^T r). None: nothing"""
 
 
 class TracePush(NamedTuple):
@@ -206,14 +206,20 @@ def _whiten(grid: Grid, x: Array) -> Array:
 
 def _whiten_residuals(grid: Grid, model: Array) -> Array:
     """Measured less model, made independent."""
-    return _whiten(grid, grid.y - _average_blocks(grid, model))
+    return _take_doubt(grid, _whiten(grid, grid.y - _average_blocks(grid, model)))
+
+
+def _take_doubt(grid: Grid, r: Array) -> Array:
+    """Whitened residuals made blind, in proportion, to what is not known."""
+    return r if grid.doubt is None else r - grid.doubt @ (grid.doubt.T @ r)
 
 
 def _centre_residuals(grid: Grid, model: Array) -> Array:
     """Measured less model, made independent, less what an unknown zero can explain."""
     import jax.numpy as jnp
 
-    r, one = _whiten_residuals(grid, model), _whiten(grid, jnp.ones_like(grid.y))
+    r = _whiten(grid, grid.y - _average_blocks(grid, model))
+    one = _whiten(grid, jnp.ones_like(grid.y))
     norm = jnp.sum(one**2)
     r = r - one * (jnp.sum(one * r) / jnp.where(norm > 0, norm, 1.0))
-    return r if grid.doubt is None else r - grid.doubt * jnp.sum(grid.doubt * r)
+    return _take_doubt(grid, r)

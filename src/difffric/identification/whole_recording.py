@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from difffric.estimation import coordinates
 from difffric.estimation.coordinates import layout
-from difffric.estimation.descent import Model, first_point, respond_at
+from difffric.estimation.descent import Model, blind_to_motion, first_point, respond_at
 from difffric.estimation.mixed_model import MAX_STEPS
 from difffric.estimation.push_friction import OTHERWISE, find_best_friction, find_push_friction
 from difffric.estimation.stacked_data import traces_data
@@ -73,6 +73,9 @@ def fit_recordings(
         )
         model = Model(spread, integrator, plan, _OPEN, False)
         at = first_point(model, data, np.zeros(0))
+        if reduction.pushes.motion is not None:
+            known = replace(at, s_eta=s_eta) if masking else None
+            data = blind_to_motion(model, data, recordings, known)
         last = masking == _MASKINGS - 1
         steps = MAX_STEPS if last else _FEW_STEPS
         found = find_push_friction(model, data, at, everyone, s_eta, steps)

@@ -1,21 +1,28 @@
 """A recorded tip's motion, smoothed: what drives a push whose set-up asks for the recorded pusher.
 
-A cubic spline on even knots, with a kink of its own wherever the acceleration jumps, is fitted to
-the samples of the channel `pusher` by least squares. The number of knots, and with it the bandwidth
-below which the motion is followed, is that of the least expected error (AICc).
+A smoothing spline with a kink wherever the acceleration jumps goes through the samples of the
+channel `pusher` (`motion_splines`). How far it may be off is told as independent modes, each a
+motion that may have to be added.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
 
 from difffric.errors import InputError
+from difffric.measurements.motion_splines import (
+    INTERVALS,
+    MOST_KINKS,
+    Spline,
+    Way,
+    smooth_again,
+    smooth_way,
+)
 from difffric.measurements.noise import estimate_quiet_noise
 from difffric.measurements.quantities import gather_alike, join_problems, shorten_to_line
 from difffric.measurements.recordings import Channel, Recording, Recordings
@@ -23,28 +30,22 @@ from difffric.number_text import format_number
 from difffric.rig.pusher import RecordedMotion
 from difffric.units import to_mm_min, to_um
 
-INTERVALS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
-"""Even intervals between knots that are tried."""
 _FINER = 2
 """Places further in this list there are twice as many."""
-MOST_KINKS = 4
-"""Jumps of the acceleration that are looked for: a ramp has one, a trapezium three."""
+MODES = 32
+"""Ways in which a motion may be off that are carried: padded with none."""
+_FINE = 400
+"""Times at which a motion is looked at."""
+_SUDDEN = 0.5
+"""Of the mean speed: a tip that comes faster to where it stands is taken to stop at once."""
+_ROUNDS, _SAME_END = 3, 1e-6
+"""Times that the end is looked for again; a change of it, as a share, that is none."""
 PIECES = INTERVALS[-1] + MOST_KINKS + 1
 """Pieces that every motion is padded to, so that one program follows all pushes."""
-_DEGREE = 3
-"""Of the spline: its speed is of second degree, and has no corner but at a kink."""
-_KINK = 20.0
-"""The chi-square that a kink must explain: noise alone does so once in a thousand motions."""
-_APART = 3.0
-"""Samples between two kinks at least."""
-_PLACES = 240
-"""Places at which a kink is looked for."""
 _ROWS = 1024
 """Moving samples beyond which neighbours are averaged: more would only take longer."""
 _FEWEST = 16
 """Samples of its way that a tip must have."""
-_PER_COEFFICIENT = 4
-"""Samples for each coefficient of the spline at least."""
 _LEVEL = 8
 """Samples whose mean says where the tip stands."""
 _ARRIVED = 4.0
@@ -68,13 +69,17 @@ class SmoothedMotion:
     noise: float
     """standard deviation of a sample of the channel [m]"""
     bandwidth: float
-    """[Hz] half the knots that there are in a second"""
+    """[Hz] half the numbers that the samples determine in a second"""
     kinks: tuple[float, ...]
     """when the acceleration jumps [s]"""
     variance: tuple[float, float, float]
     """mean over the motion of the variance of y [m^2], of V [m^2/s^2], and their covariance"""
     memory: float
-    """over which the errors of y and V are one [s]: the motion's time a coefficient"""
+    """over which the errors of y and V are one [s]: the motion's time over the numbers that the
+    samples determine"""
+    modes: RecordedMotion
+    """stacked changes of `law`, by which the motion may be off: independent, each a standard
+    deviation"""
 
     @property
     def end(self) -> float:
@@ -147,25 +152,19 @@ def smooth_motion(recording: Recording) -> SmoothedMotion:
         raise InputError('no channel pusher, which [pusher] motion = "recorded" asks for')
     way = _find_way(recording)
     _check_speed(way, recording.velocity)
-    splines = _fit_splines(way)
-    best = min(range(len(splines)), key=lambda i: splines[i].criterion)
-    return _describe(way, splines[best], splines[min(best + _FINER, len(splines) - 1)])
+    spline = smooth_way(way)
+    for _ in range(_ROUNDS):
+        end = _find_end(way, spline)
+        if end == way.end:
+            break
+        way = _find_way(recording, end)
+        spline = smooth_again(way, spline)
+    return _describe(way, spline)
 
 
-class _Way(NamedTuple):
-    """A tip's way, as a spline takes it: rows of (time, position, weight)."""
-
-    t: NDArray
-    y: NDArray
-    weight: NDArray
-    """1 / standard deviation [1/m]"""
-    end: float
-    travel: float
-    noise: float
-    dt: float
-
-
-def _find_way(recording: Recording) -> _Way:
+def _find_way(recording: Recording, end: float | None = None) -> Way:
+    """The way of a recording's tip, up to its `end` [s] where that is known better than from its
+    last samples."""
     channel = recording.pusher
     assert channel is not None
     t, y = channel.time, np.asarray(channel.samples, float)
@@ -197,20 +196,38 @@ def _find_way(recording: Recording) -> _Way:
     if last < _FEWEST:
         raise InputError(f"pusher has {last} samples of its way: expected {_FEWEST} at least")
     dt = channel.dt
-    end = _find_stop(t[: last + 1], y[: last + 1], level, noise, dt)
+    stop, slope = _find_stop(t[: last + 1], y[: last + 1], level, noise, dt)
+    end = stop if end is None else float(np.clip(end, stop - 2 * dt, stop + 2 * dt))
+    sudden = slope * end > _SUDDEN * level
     inside = t < end
     size = -(-int(inside.sum()) // _ROWS)
     n = int(inside.sum()) // size * size
     rows_t, rows_y = (x[:n].reshape(-1, size).mean(axis=1) for x in (t, y))
-    return _Way(
-        t=np.concatenate([[0.0], rows_t, [end]]),
-        y=np.concatenate([[0.0], rows_y, [level]]),
-        weight=np.sqrt([len(quiet), *np.full(len(rows_t), size), standing]) / noise,
+    rows = np.column_stack([rows_t, rows_y, np.full(len(rows_t), size)])
+    first, last_row = [(0.0, 0.0, len(quiet))], [(end, level, standing)]
+    rows = np.vstack([first, rows] if sudden else [first, rows, last_row])
+    return Way(
+        t=rows[:, 0],
+        y=rows[:, 1],
+        weight=np.sqrt(rows[:, 2]) / noise,
         end=end,
         travel=level,
+        level_error=noise / float(np.sqrt(standing)),
         noise=noise,
+        sudden=bool(sudden),
         dt=dt * size,
     )
+
+
+def _find_end(way: Way, spline: Spline) -> float:
+    """When the tip comes to where it stands [s], by a spline: that of the way where it comes there
+    slowly."""
+    if not way.sudden:
+        return way.end
+    at = np.array([way.end])
+    y, V = (float((spline.design(at, x) @ spline.coefficients)[0]) for x in (False, True))
+    late = (way.travel - y) / V if V > 0 else 0.0
+    return way.end + late if abs(late) > _SAME_END * way.end else way.end
 
 
 def _measure_noise(channel: Channel) -> float:
@@ -218,19 +235,21 @@ def _measure_noise(channel: Channel) -> float:
     return float(estimate_quiet_noise(channel).average(_LEVEL).level * np.sqrt(_LEVEL))
 
 
-def _find_stop(t: NDArray, y: NDArray, level: float, noise: float, dt: float) -> float:
-    """When the tip comes to where it stands [s]: where a line through its last samples before meets
-    that level, near the first sample that is there but for the noise."""
+def _find_stop(
+    t: NDArray, y: NDArray, level: float, noise: float, dt: float
+) -> tuple[float, float]:
+    """(when the tip comes to where it stands [s], how fast [m/s]): where a line through its last
+    samples before meets that level, near the first sample that is there but for the noise."""
     most = max(_FEWEST, int(_STRAIGHT / dt))
     some = slice(max(len(t) - 1 - most, 0), len(t) - 1)
     slope, offset = np.polyfit(t[some] - t[-1], y[some], 1)
     if slope <= 0:
-        return float(t[-1])
+        return float(t[-1]), 0.0
     late = 2 * dt + 1.5 * _ARRIVED * noise / slope
-    return float(t[-1] + np.clip((level - offset) / slope, -2 * dt, late))
+    return float(t[-1] + np.clip((level - offset) / slope, -2 * dt, late)), float(slope)
 
 
-def _check_speed(way: _Way, velocity: float) -> None:
+def _check_speed(way: Way, velocity: float) -> None:
     speed = way.travel / way.end
     if not velocity / _OTHER_UNIT < speed < velocity * _OTHER_UNIT:
         raise InputError(
@@ -239,91 +258,60 @@ def _check_speed(way: _Way, velocity: float) -> None:
         )
 
 
-class _Spline(NamedTuple):
-    """A fitted spline."""
-
-    knots: NDArray
-    kinks: tuple[float, ...]
-    coefficients: NDArray
-    covariance: NDArray
-    criterion: float
-
-    def design(self, t: NDArray, slope: bool = False) -> NDArray:
-        """What each coefficient adds to y, or to V, at the times t [s]."""
-        return _design(self.knots, self.kinks, t, slope)
-
-
-def _design(knots: NDArray, kinks: Sequence[float], t: NDArray, slope: bool) -> NDArray:
-    beyond = np.maximum(t[:, None] - np.asarray(kinks, float)[None], 0.0)
-    if not slope:
-        even = BSpline.design_matrix(t, knots, _DEGREE).toarray()
-        return np.column_stack([even, beyond**2])
-    unit = np.eye(len(knots) - _DEGREE - 1)
-    return np.column_stack([BSpline(knots, unit, _DEGREE).derivative()(t), 2 * beyond])
-
-
-def _fit_splines(way: _Way) -> list[_Spline]:
-    """A spline of each number of intervals that the samples allow."""
-    most = len(way.t) / _PER_COEFFICIENT
-    return [_fit_spline(way, n) for n in INTERVALS if n == 1 or n + _DEGREE <= most]
-
-
-def _fit_spline(way: _Way, intervals: int) -> _Spline:
-    """The spline of so many even intervals, with the kinks that it needs."""
-    ends = np.zeros(_DEGREE), np.full(_DEGREE, way.end)
-    knots = np.concatenate([ends[0], np.linspace(0, way.end, intervals + 1), ends[1]])
-    places = np.linspace(0, way.end, _PLACES + 2)[1:-1]
-    places = places[(places > 2 * way.dt) & (places < way.end - 2 * way.dt)]
-    bends = way.weight[:, None] * np.maximum(way.t[:, None] - places, 0.0) ** 2
-    y, kinks = way.weight * way.y, list[float]()
-    while True:
-        A = way.weight[:, None] * _design(knots, kinks, way.t, False)
-        Q, R = np.linalg.qr(A)
-        r = y - Q @ (Q.T @ y)
-        if len(kinks) >= MOST_KINKS or not len(places):
-            break
-        new = bends - Q @ (Q.T @ bends)
-        size = np.sum(new**2, axis=0)
-        known = size > 1e-9 * np.sum(bends**2, axis=0)
-        for kink in kinks:
-            known &= np.abs(places - kink) > _APART * way.dt
-        gain = np.where(known, (r @ new) ** 2 / np.where(known, size, 1.0), 0.0)
-        if gain.max() < _KINK:
-            break
-        kinks = sorted([*kinks, float(places[int(np.argmax(gain))])])
-    n, p = A.shape[0], A.shape[1] + len(kinks)  # where a kink lies is found, too
-    chi2 = float(r @ r)
-    inverse = np.linalg.pinv(R)
-    wide = max(1.0, chi2 / max(n - p, 1))
-    criterion = chi2 + 2 * p + 2 * p * (p + 1) / max(n - p - 1, 1e-3)
-    coefficients = inverse @ (Q.T @ y)
-    return _Spline(knots, tuple(kinks), coefficients, wide * inverse @ inverse.T, criterion)
-
-
-def _describe(way: _Way, spline: _Spline, finer: _Spline) -> SmoothedMotion:
-    """The motion that a spline is. What it smooths away besides the noise is not in its covariance:
-    its error is told as that of a `finer` one, which smooths away next to nothing else."""
-    corners = np.unique(np.concatenate([spline.knots[_DEGREE : -_DEGREE - 1], spline.kinks]))
+def _describe(way: Way, spline: Spline) -> SmoothedMotion:
+    """The motion that a spline is, and how far it may be off."""
+    corners = spline.corners
     ends = np.append(corners[1:], way.end)
     shares = np.array([0.25, 0.5, 0.75])
     inside = corners[:, None] + (ends - corners)[:, None] * shares
-    V = (spline.design(inside.ravel(), slope=True) @ spline.coefficients).reshape(inside.shape)
-    rates = np.zeros((PIECES + 1, 3))
-    for i, (start, at, speed) in enumerate(zip(corners, inside, V, strict=True)):
-        rates[i] = np.linalg.solve(np.vander(at - start, 3, increasing=True), speed)
-    padded = np.full(PIECES + 1, np.inf)
+
+    def find_rates(V: NDArray) -> NDArray:
+        """(pieces, 3, ...) the polynomials through speeds at three times of each piece."""
+        powers = ((inside - corners[:, None])[..., None]) ** np.arange(3)
+        return np.linalg.solve(powers, V.reshape(*inside.shape, -1))
+
+    rates, padded = np.zeros((PIECES + 1, 3)), np.full(PIECES + 1, np.inf)
+    rates[: len(corners)] = find_rates(spline.design(inside.ravel(), True) @ spline.coefficients)[
+        ..., 0
+    ]
     padded[: len(corners)] = corners
-    t = np.linspace(0, way.end, 200)
-    B, dB = finer.design(t), finer.design(t, slope=True)
-    pairs = ((B, B), (dB, dB), (B, dB))
-    y, speed, both = (float(np.mean(np.sum((a @ finer.covariance) * b, 1))) for a, b in pairs)
-    intervals = len(spline.knots) - 2 * _DEGREE - 1
+    t = (np.arange(_FINE) + 0.5) * way.end / _FINE
+    changes, ends_late = _list_modes(way, spline, t)
+    # The law begins at 0: only the way since then may be off.
+    B = (spline.vary(t) - spline.vary(np.zeros(1))) @ changes
+    dB = spline.vary(t, slope=True) @ changes
+    y, speed, both = (float(np.mean(np.sum(a * b, 1))) for a, b in ((B, B), (dB, dB), (B, dB)))
+    most = changes.shape[1]
+    modes = np.zeros((MODES, PIECES + 1, 3))
+    by = find_rates(spline.vary(inside.ravel(), True) @ changes)
+    modes[:most, : len(corners)] = np.moveaxis(by, 2, 0)
+    late: Any = np.zeros(MODES)
+    late[:most] = ends_late
     return SmoothedMotion(
         law=RecordedMotion(padded, rates, way.end),
         travel=way.travel,
         noise=way.noise,
-        bandwidth=0.5 * intervals / way.end,
+        bandwidth=0.5 * spline.freedom / way.end,
         kinks=spline.kinks,
         variance=(y, speed, both),
-        memory=way.end / len(finer.coefficients),
+        memory=way.end / spline.freedom,
+        modes=RecordedMotion(np.tile(padded, (MODES, 1)), modes, late),
     )
+
+
+def _list_modes(way: Way, spline: Spline, t: NDArray) -> tuple[NDArray, NDArray]:
+    """(changes of the spline's numbers (p, modes), of the end [s]) by which the motion may be off:
+    independent, each a standard deviation, those that change the speed most at the times t."""
+    values, vectors = np.linalg.eigh(spline.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    at = np.array([way.end])
+    V = float((spline.design(at, True) @ spline.coefficients)[0])
+    late = np.zeros(root.shape[1] + 1)
+    if way.sudden:
+        late = np.append(-(spline.vary(at) @ root)[0], way.level_error) / V
+    root = np.column_stack([root, np.zeros(len(root))])
+    # A later end is the speed for as much longer.
+    seen = np.vstack([spline.vary(t, slope=True) @ root, np.sqrt(_FINE / way.end) * V * late])
+    _, _, turned = np.linalg.svd(seen, full_matrices=False)
+    turned = turned[:MODES].T
+    return root @ turned, late @ turned

@@ -125,7 +125,7 @@ def cut_at(task: EnsembleTask, horizon: NDArray) -> EnsembleTask:
     def cut(blocks: UnevenBlocks) -> UnevenBlocks:
         first, second = (np.take_along_axis(blocks.t, x, 1) for x in blocks[1:3])
         keep = 0.5 * (first + second) < horizon[:, None]
-        doubt = None if blocks.doubt is None else np.where(keep, blocks.doubt, 0.0)
+        doubt = None if blocks.doubt is None else np.where(keep[..., None], blocks.doubt, 0.0)
         a, b = (np.where(keep, x, 0.0) for x in (blocks.a, blocks.b))
         return blocks._replace(a=a, b=b, doubt=doubt)
 

@@ -1,11 +1,9 @@
 """The reduction of pushes that their recorded pushers drive: the motions' errors are carried.
 
 What the smoothed motion is off makes the modelled force off by k y + b V, for as long as the spline
-remembers. A fit takes noise to be independent from sample to sample, or AR(1): so the force's noise
-is raised to one that has the same power at low frequencies, which takes as much from what the
-samples say of mu_s. The part's speed where it leaves the tip is off by the impulse of that force:
-residuals of the position are blind to what such a speed does to the slide. F_p and d have their own
-standard errors raised by what the motion's error makes of them.
+remembers, and the part's speed where it leaves the tip by the impulse of that force. F_p and d have
+their standard errors raised by what that makes of them. Fits of whole recordings know better what
+the error does (`estimation.following.motion_errors`): the samples' noise stays as it is.
 """
 
 from __future__ import annotations
@@ -38,13 +36,19 @@ def carry_motion_error(reduction: Reduction, setup: Setup) -> Reduction:
     values = parameters.values(setup.rig)
     k, b = (float(values.get(name, 0.0)) for name in ("k_N_per_m", "b_N_s_per_m"))
     details: list[Reduced] = []
-    errors = np.zeros((3, len(reduction.details)))
+    errors = np.zeros((2, len(reduction.details)))
     for i, (recording, detail) in enumerate(
         zip(reduction.recordings, reduction.details, strict=True)
     ):
         mass = float(setup.rig.mass) if np.isnan(recording.mass) else recording.mass
-        errors[:, i] = _find_errors(recording, detail, k, b, mass)
-        details.append(_raise_noise(recording, detail, *errors[:, i]))
+        F, d = errors[:, i] = _find_errors(recording, detail, k, b, mass)
+        details.append(
+            replace(
+                detail,
+                peak_force_se=float(np.hypot(detail.peak_force_se, F)),
+                sliding_distance_se=float(np.hypot(detail.sliding_distance_se, d)),
+            )
+        )
     pushes = replace(
         reduction.pushes,
         peak_force_se=np.hypot(reduction.pushes.peak_force_se, errors[0]),
@@ -55,9 +59,8 @@ def carry_motion_error(reduction: Reduction, setup: Setup) -> Reduction:
 
 def _find_errors(
     recording: Recording, detail: Reduced, k: float, b: float, mass: float
-) -> tuple[float, float, float]:
-    """(of F_p [N], of d [m], of the part's speed at release [m/s]): standard errors by the error of
-    a push's smoothed motion.
+) -> tuple[float, float]:
+    """(of F_p [N], of d [m]): standard errors by the error of a push's smoothed motion.
 
     The part's speed where it leaves the tip is off by the impulse that the force's error gives it
     over half a period of the contact, and d, as the square of that speed, by twice its share.
@@ -65,24 +68,5 @@ def _find_errors(
     force = recording.motion.force_error(k, b)
     lasts = np.pi * np.sqrt(mass / k)
     impulse = force * np.sqrt(min(recording.motion.memory, lasts) * lasts)
-    speed = impulse / mass
-    share = speed / detail.release_velocity
-    return force, float(np.nan_to_num(2 * share * detail.sliding_distance)), speed
-
-
-def _raise_noise(recording: Recording, detail: Reduced, F: float, d: float, u: float) -> Reduced:
-    """What was reduced, with the noise and the standard errors that the motion's errors leave."""
-    noise = detail.noise_force
-    if noise is not None and recording.force is not None:
-        # Of independent samples with the variance s^2 and one error over n of them, the mean of n
-        # has s^2 / n and F^2.
-        n = max(recording.motion.memory / recording.force.dt, 1.0)
-        white = noise.average(int(n)).level * np.sqrt(int(n))
-        noise = replace(noise, level=noise.level * float(np.hypot(1.0, np.sqrt(n) * F / white)))
-    return replace(
-        detail,
-        noise_force=noise,
-        release_velocity_doubt=u,
-        peak_force_se=float(np.hypot(detail.peak_force_se, F)),
-        sliding_distance_se=float(np.hypot(detail.sliding_distance_se, d)),
-    )
+    share = impulse / mass / detail.release_velocity
+    return force, float(np.nan_to_num(2 * share * detail.sliding_distance))

@@ -49,9 +49,6 @@ class Reduced:
     release_velocity: float = np.nan
     """the part's speed there [m/s]"""
     release_velocity_se: float = np.nan
-    release_velocity_doubt: float = 0.0
-    """standard deviation [m/s] of the part's true speed there about a model's, by what the recorded
-    motion that drives it is off"""
     deceleration: float = np.nan
     """mean over the free slide [m/s^2]"""
     deceleration_se: float = np.nan
