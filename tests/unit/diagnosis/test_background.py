@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,9 +13,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from difffric.diagnosis.background import cause_sets, evidence, naming, small_effects
+from difffric.diagnosis.background import search as background_search
 from difffric.diagnosis.background.evidence import Evidence
 from difffric.diagnosis.background.friction_estimate import estimate_friction
-from difffric.diagnosis.background.shape_columns import Shape, ShapeColumns, list_nearby
+from difffric.diagnosis.background.shape_columns import (
+    Shape,
+    ShapeColumns,
+    join_columns,
+    list_nearby,
+)
 from difffric.diagnosis.background.shape_pursuit import pursue_shapes
 from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.diagnosis.inferred.friction import compute_friction_errors
@@ -116,7 +123,7 @@ class _JumpingRig(LinearModel):
         jumps = (np.asarray(index) == 0) & (c[:, 1] > self.edge)
         model = np.array(found.model)
         model[jumps, 1] *= 100.0
-        return SimpleNamespace(model=model)
+        return SimpleNamespace(model=model, residual=found.residual)
 
 
 def test_a_push_on_an_edge_does_not_say_how_large_a_unit_is():
@@ -274,3 +281,54 @@ def test_mu_s_averaged_over_a_background_is_as_the_dense_normal_distribution_say
     estimate, error = estimate_friction(found, items)
     assert estimate == pytest.approx(mean, abs=2e-3 * np.sqrt(variance).min())
     assert error == pytest.approx(np.sqrt(variance), rel=2e-3)
+
+
+def make_search(seed: int) -> background_search.BackgroundSearch:
+    """The search of a rig with a tilt, that of a set of causes at its end."""
+    rng = np.random.default_rng(seed)
+    slopes = rng.normal(size=(N, 2, 4))
+    measured = 3.0 * slopes[:, :, 2] + 0.5 * rng.normal(size=(N, 2))
+    task = make_task(slopes, measured, ("k", "tilt.alpha_rad", "force_gain.factor"), shared=(1,))
+    ones = np.ones(2)
+    small = SmallEffects(
+        ("tilt", "force_gain"), (2, 3), 0.3 * ones, 5 * ones, np.zeros(4), np.zeros(4)
+    )
+    at = ensemble_refits.refit(small.assume(task, 3.0), small.free(start(task, 0.3)), 10)
+    found = Evidence(task, at, small, None, background=False)
+    sets = tuple(cause_sets.search_sets(found, found.items))
+    data: Any = SimpleNamespace(task=task)
+    return background_search.BackgroundSearch(data, at, small, found, sets, (), found, ())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_fit_decides_between_sets_that_linear_answers_hardly_tell_apart(seed):
+    found = make_search(seed)
+    task = found.data.task
+    plain = ensemble_refits.refit(task, start(task, 0.3), 10)
+    (right,) = (one for one in found.sets if one.effects == {"tilt"})
+    (wrong,) = (one for one in found.sets if one.effects == {"force_gain"})
+    misled = replace(found, sets=(replace(wrong, score=right.score + 1.0), right))
+    assert naming.choose_by_fits(task, plain, misled).best is right
+    # Where they are told apart nothing is fitted.
+    sure = replace(found, sets=(replace(wrong, score=right.score + 100.0), right))
+    assert naming.choose_by_fits(task, plain, sure) is sure
+
+
+def test_the_set_that_was_fitted_is_found_where_the_comparison_stands():
+    found = make_search(0)
+    (single,) = (one for one in found.sets if one.effects == {"tilt"})
+    fitted = cause_sets.find_set(found.evidence, {"tilt"})
+    assert fitted is not None and fitted.score == pytest.approx(single.score, abs=1e-9)
+    assert cause_sets.find_set(found.evidence, {"friction_patch"}) is None
+    nothing = cause_sets.find_set(found.evidence, ())
+    assert nothing is not None and nothing.score == 0.0
+
+
+def test_columns_of_some_effects_are_theirs_in_their_order():
+    columns = make_shapes(0, 6)
+    some = columns.pick({"friction_patch"})
+    kept = [k for k, shape in enumerate(columns.shapes) if shape.effect == "friction_patch"]
+    assert [x.effect for x in some.shapes] == ["friction_patch"] * len(kept)
+    for mine, k in zip(some.columns, kept, strict=True):
+        np.testing.assert_array_equal(some.rows[..., mine], columns.rows[..., columns.columns[k]])
+    assert join_columns(some, columns.pick({"friction_waviness"})).rows.shape == columns.rows.shape

@@ -11,6 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from difffric.errors import InputError
+from difffric.rig import catalogue
 from difffric.rig.contact import AbstractContact
 from difffric.rig.friction import AbstractFriction
 from difffric.rig.pusher import ConstantSpeed
@@ -326,6 +327,29 @@ def test_breakaway_is_the_laws_own():
     assert value == pytest.approx(z_b, rel=1e-12)
     assert slope == pytest.approx(z_b / 1.5 * 10 * G / (0.2 * 10 * G - 5), rel=1e-12)
     assert breakaway(0.2, 0.05) == 0.0
+
+
+def test_a_part_that_breaks_away_during_a_ramp_goes_on():
+    """Where friction is as large at rest as at first motion the part begins with no acceleration
+    but that of rounding, which may point back."""
+    rng = np.random.default_rng(0)
+    n = 60
+    points = 0.08 + 0.12 * rng.random(n), 10 ** rng.uniform(5.5, 6, n), 10 ** rng.uniform(2, 6, n)
+    effects = {
+        "stribeck": {"v_s_m_per_s": 1e-3},
+        "contact_hardening": {"exponent": 1.005},
+        "tilt": {"alpha_rad": 1e-5},
+    }
+
+    def follow(mu_s, k, acceleration):
+        plain = spring_damper_rig(mass=18.9, mu_s=mu_s, k=k, b=1500.0, k_v=5.0, stroke=2e-3)
+        ramp = {"pusher_ramp": {"acceleration_m_per_s2": acceleration}}
+        rig = catalogue.extended(plain, {**effects, **ramp})
+        end = RungeKutta(most=1000).build_loop(rig, 0.05, blind=True).run()
+        return end.over, end.steps
+
+    over, steps = jax.jit(jax.vmap(follow), compiler_options=OPTIONS)(*points)
+    assert over.all() and steps.max() < 500
 
 
 @pytest.mark.parametrize("closing", [True, False])
