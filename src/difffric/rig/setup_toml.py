@@ -36,7 +36,7 @@ from difffric.rig.quantities import (
     layers,
 )
 from difffric.rig.rig import Rig, spring_damper_rig
-from difffric.rig.setup import Extras, Setup
+from difffric.rig.setup import Extras, Setup, refuse_recorded_motion
 from difffric.rig.setup_schema import FILES, iterate_entries, validate_document
 
 RECORDED = "recorded"
@@ -44,8 +44,11 @@ RECORDED = "recorded"
 
 
 def load_setup(path: str | os.PathLike) -> Rig:
-    """The rig of a setup.toml. Raises `InputError` naming all that is wrong with the file."""
-    return read_setup(path).rig
+    """The rig of a setup.toml. Raises `InputError` naming all that is wrong with the file, and where
+    the tip's motion is the recorded one, which a rig alone does not say."""
+    setup = read_setup(path)
+    refuse_recorded_motion(setup, f"{path}: `load_setup` gives the rig alone, take `read_setup`")
+    return setup.rig
 
 
 def read_setup(path: str | os.PathLike) -> Setup:

@@ -36,6 +36,14 @@ def test_it_is_read_and_written_back_beside_the_stroke():
     assert 'motion = "recorded"' in format_setup(Setup(setup.rig, recorded_motion=True))
 
 
+def test_a_rig_alone_cannot_say_so(tmp_path):
+    path = tmp_path / "setup.toml"
+    path.write_text(TEXT)
+    with pytest.raises(InputError, match="take `read_setup`"):
+        df.load_setup(path)
+    assert df.read_setup(path).recorded_motion
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
