@@ -44,8 +44,8 @@ RECORDED = "recorded"
 
 
 def load_setup(path: str | os.PathLike) -> Rig:
-    """The rig of a setup.toml. Raises `InputError` naming all that is wrong with the file, and where
-    the tip's motion is the recorded one, which a rig alone does not say."""
+    """The rig of a setup.toml. Raises `InputError` naming all that is wrong with the file, and
+    where the tip's motion is the recorded one, which a rig alone does not say."""
     setup = read_setup(path)
     refuse_recorded_motion(setup, f"{path}: `load_setup` gives the rig alone, take `read_setup`")
     return setup.rig
