@@ -95,6 +95,9 @@ def prepare() -> None:
 
     assert conftest.CACHE
     os.environ.setdefault("EQX_ON_ERROR", "nan")
+    import jax  # which another module of a study may have imported already
+
+    jax.config.update("jax_enable_x64", True)
 
 
 def arguments(
