@@ -23,7 +23,6 @@ from difffric.rig import parameters
 from difffric.rig.pusher import RecordedMotion
 from difffric.rig.rig import Rig
 from difffric.simulation.segments import Push
-from difffric.simulation.stepping.integrator import RungeKutta
 
 DIRECTIONS = 16
 """Directions that residuals are blind to at most: modes that do less than the others are left
@@ -64,6 +63,7 @@ def _follow_modes(rig: Any, velocity: Any, motion: Any, modes: Any, t_force: Any
     import jax
     import jax.numpy as jnp
 
+    from difffric.simulation.stepping.integrator import RungeKutta
     from difffric.simulation.trajectory import Trajectory
 
     def follow(sign: Any, mode: Any) -> Any:
