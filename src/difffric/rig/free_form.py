@@ -48,7 +48,7 @@ class Curve(NumberTree):
         if not xp.uses_jax(at, self.c):
             return sum(self.c[..., i] * _evaluate_spline(at - i) for i in range(SPLINES))
         # Of all splines the four that are not zero there: with each by itself programs were four
-        # times as large, with all in one array six times as slow.
+        # times as large, with all in one array twice as slow.
         first = xp.minimum(xp.floor(at), SPLINES - 2.0)
         t, u = at - first, 1 - at + first
         one, two, three, four = self._pick_four(first)

@@ -38,14 +38,15 @@ _HARDLY_TOLD = 5.0
 _ROUNDS = 12
 """Steps at most of the fit with the causes alone."""
 _CONSIDERED = 3
-"""Single causes that are told beside those that are named."""
-_HARDLY = 1e-6
+"""Single causes that are told beside those that are named, and sets that are fitted at most where
+linear answers hardly tell them apart."""
+_FEW_ROUNDS = 4
+"""Steps at most of a fit with one of these."""
+_NO_BACKGROUND = 1e-6
 """Share of their units by which other effects scatter in a fit without a background."""
 _BETTER = 1.05
 """How many times as much as the joint fit the plain one leaves, where that stands at a poor place.
 """
-_FEW_ROUNDS = 4
-"""Steps at most of a fit with one of these."""
 
 
 def choose_by_fits(task: EnsembleTask, plain: Fits, search: BackgroundSearch) -> BackgroundSearch:
@@ -144,7 +145,7 @@ def compare_rivals(
             bare = {"extra": (extra,), "gram": None, "residual": None, "damping": None}
             starts.append(replace(base, c=c, **bare))
             # It may fit with plain parameters and mu_s that are far from those of the cause.
-            linear = predict_start(evidence, one.items, _HARDLY)
+            linear = predict_start(evidence, one.items, _NO_BACKGROUND)
             rest = [i for i in range(c.shape[1]) if i not in (*task.shared, *extra)]
             c = linear.c.copy()
             c[0, rest] = search.small.null[rest]
