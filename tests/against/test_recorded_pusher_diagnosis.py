@@ -9,18 +9,12 @@ import numpy as np
 import pytest
 
 import difffric as df
+from tests.against.test_recorded_pusher import MU_S, RIG
 from tests.hidden import simulate
 from tests.hidden.case import MM_MIN, Case, draw_pushes
 from tests.hidden.simulate import friction_of
 
-MU_S, SCATTER = 0.141, 0.02
-RIG = {
-    "mass_kg": 18.9,
-    "mu_k_over_mu_s": 0.75,
-    "k_v_N_s_per_m": 5.0,
-    "k_N_per_m": 8.0e5,
-    "b_N_s_per_m": 1500.0,
-}
+SCATTER = 0.02
 EFFECTS = {
     "pusher_ramp": {"acceleration_m_per_s2": 5.0},
     "pusher_ripple": {"amplitude": 0.02, "period_m": 1e-3, "phase_rad": 0.3},
