@@ -119,7 +119,7 @@ def prepare_data(
         counts=counts,
     )
     looked_for = tuple(e for e in (*CATALOGUE, RATIO) if e not in left_out and e not in impossible)
-    scales = _estimate_scales(rig, measured, strokes, mass)
+    scales = _estimate_scales(rig, measured, reduction, strokes, mass)
     return DiagnosisData(task, scales, measured, looked_for, impossible, reduction)
 
 
@@ -235,7 +235,9 @@ def _list_impossible(
     return out
 
 
-def _estimate_scales(rig: Rig, measured: Pushes, strokes: NDArray, mass: NDArray) -> Scales:
+def _estimate_scales(
+    rig: Rig, measured: Pushes, reduction: Reduction | None, strokes: NDArray, mass: NDArray
+) -> Scales:
     """Estimate what the pushes are like from what was measured; `strokes` [m], `mass` [kg] (n,)."""
     F, d = measured.peak_force, measured.sliding_distance
     mu = float(parameters.values(rig)["mu_s"])
@@ -244,6 +246,11 @@ def _estimate_scales(rig: Rig, measured: Pushes, strokes: NDArray, mass: NDArray
     contact = peak / float(parameters.values(rig)["k_N_per_m"])
     finite = strokes[np.isfinite(strokes)]
     travel = float(np.median(finite)) if len(finite) else _UNSTOPPED * contact
+    tips = np.full(len(measured), travel)
+    if reduction is not None:
+        released = np.array([one.release_time for one in reduction.details])
+        gone = np.minimum(measured.velocity * released, strokes)
+        tips = np.where(np.isfinite(released), gone, tips)
     return Scales(
         mass=float(mass.mean()),
         mu_s=mu,
@@ -254,6 +261,7 @@ def _estimate_scales(rig: Rig, measured: Pushes, strokes: NDArray, mass: NDArray
         travel=travel,
         compression=_BEYOND * contact,
         ways=np.where(np.isfinite(strokes), strokes, travel) + np.nan_to_num(d),
+        tips=tips,
     )
 
 

@@ -24,8 +24,9 @@ from difffric.rig.catalogue import KEYS, numbers_of
 
 SIGNIFICANT = 1e-3
 """An effect is named where chance gives as much with less than this probability."""
-_TRIALS = 10
-"""How many independent looks a scan over a wavelength, a place or a speed is worth."""
+_TRIALS, _OF_WAVES = 10, {"friction_waviness": 60}
+"""How many independent looks a scan over a place, a speed or a period is worth, and one over
+wavelengths that long slides tell apart."""
 _LEAST_ROOM = 3
 """Numbers that one evaluation has columns for at least: the most that any effect has."""
 _SCATTERS = np.geomspace(1.0, 0.03, 15)
@@ -170,4 +171,4 @@ def compute_p_value(effect: str, drop: float, effects: int) -> float:
 def count_looks(effect: str, effects: int) -> int:
     """Return how many independent looks a search among so many `effects` is worth that finds this
     one."""
-    return effects * (1 if effect in SMOOTH_AT_NULL else _TRIALS)
+    return effects * (1 if effect in SMOOTH_AT_NULL else _OF_WAVES.get(effect, _TRIALS))

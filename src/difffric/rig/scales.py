@@ -26,3 +26,5 @@ class Scales:
     """of the contact at the peak [m]"""
     ways: NDArray
     """(n,) how far the part gets in each push, about [m]"""
+    tips: NDArray
+    """(n,) how far the tip goes in each until contact is lost, about [m]"""

@@ -19,6 +19,7 @@ SCALES = Scales(
     travel=5e-3,
     compression=1e-4,
     ways=np.array([5e-3, 6e-3]),
+    tips=np.array([5e-3, 5e-3]),
 )
 
 

@@ -21,14 +21,10 @@ import scipy
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from difffric.diagnosis.background.known_columns import collect_rows
 from difffric.diagnosis.background.shape_columns import Shape, ShapeColumns, join_columns
-from difffric.diagnosis.background.small_effects import (
-    SmallEffects,
-    count_rows,
-    step_off_null,
-)
+from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.estimation.ensemble import EnsembleTask, Fits
-from difffric.rig.catalogue import numbers_of
 
 SHARES = np.array([0.03, 0.06, 0.12, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8])
 """Shares of their units by which background effects may scatter."""
@@ -110,10 +106,10 @@ class Evidence:
         background: bool = True,
         known: tuple[NDArray, NDArray] | None = None,
     ):
-        """`known` are the columns of `_collect_rows`, where they have been computed already."""
+        """`known` are the columns of `collect_rows`, where they have been computed already."""
         self.task, self.at, self.small = task, at, small
         self._shapes, self._background = shapes, background
-        self._columns = _collect_rows(task, at, small, shapes) if known is None else known
+        self._columns = collect_rows(task, at, small, shapes) if known is None else known
         self.rows, self.push = self._columns
         self.unit, self.typical = small.unit, small.typical
         if shapes is not None:
@@ -140,9 +136,9 @@ class Evidence:
         self._log_prior = prior
         self.nothing = float(sum_logs(prior - 0.5 * np.array([s.cost for s in self._states])))
 
-    def add_columns(self, more: ShapeColumns) -> Evidence:
+    def add_columns(self, *more: ShapeColumns) -> Evidence:
         """Return the comparison with further shapes, none of them placed."""
-        shapes = more if self._shapes is None else join_columns(self._shapes, more)
+        shapes = join_columns(*more if self._shapes is None else (self._shapes, *more))
         return Evidence(self.task, self.at, self.small, shapes, self._background, self._columns)
 
     @property
@@ -271,6 +267,29 @@ class Evidence:
         M = state.M[p:, p:] - state.M[p:, :p] @ cross
         return M * self.excess, (state.h[p:] - state.h[:p] @ cross) * self.excess, p
 
+    def weigh_own(self) -> NDArray:
+        """How much (n,) of each push's products with its own mu_s is taken off, which eliminates
+        that, at the likeliest scatter."""
+        weight = self.likeliest_scatter**2
+        return weight / (1 + weight * self.z / self.excess) / self.excess
+
+    def project_known(self, products: NDArray) -> tuple[NDArray, NDArray]:
+        """Of further columns, whose products (m, p + 1) with those that are compared and with the
+        residuals are given, what they have to do with the residuals (m,), and (m, p) what the
+        others explain of them: with a background of unit size, the placed shapes of any."""
+        placed = [c for item in self.list_placed() for c in item.columns]
+        prior = np.zeros(self.known + len(self.unit))
+        prior[self.known :] = self.excess * self.compute_spread(1.0, placed) ** -2.0
+        weight = self.weigh_own()
+        G = self.gram.sum(axis=0) - np.einsum("n,np,nq->pq", weight, self.own, self.own)
+        H = G[:-1, :-1] + np.diag(prior)
+        scale = np.sqrt(np.maximum(np.diag(H), 1e-12))
+        factor = np.linalg.cholesky(H / np.outer(scale, scale) + _RIDGE * np.eye(len(H)))
+        right = np.column_stack([G[:-1, -1], products[:, :-1].T]) / scale[:, None]
+        whitened = scipy.linalg.solve_triangular(factor, right, lower=True)
+        explained = whitened[:, 1:].T
+        return products[:, -1] - explained @ whitened[:, 0], explained
+
     @property
     def likeliest_scatter(self) -> float:
         """The scatter of mu_s that is the most likely."""
@@ -328,50 +347,3 @@ def _list_items(small: SmallEffects, shapes: ShapeColumns | None) -> list[Possib
         for shape, columns in zip(shapes.shapes, shapes.columns, strict=True):
             items.append(PossibleCause(shape.effect, tuple(p + c for c in columns), shape))
     return items
-
-
-def list_known(
-    task: EnsembleTask, at: Fits, small: SmallEffects, placed: Sequence[str]
-) -> list[int]:
-    """List the coordinates that are known to be in the model, in the order of their columns: the
-    plain ones, and what `at` has free besides small effects and the shapes `placed`."""
-    held = {
-        *small.index,
-        *task.model.coordinates.indices([n for e in placed for n in numbers_of(e)]),
-    }
-    return [*task.shared, *(i for i in at.extra[0] if i not in held)]
-
-
-def _collect_rows(
-    task: EnsembleTask, at: Fits, small: SmallEffects, shapes: ShapeColumns | None
-) -> tuple[NDArray, NDArray]:
-    """The columns (n, R, p) of each push: the plain parameters, what `at` has free besides, the
-    small effects, and what would be left without the small effects and the placed shapes; and that
-    of the push's own mu_s (n, R)."""
-    n, C = task.n, task.conditions
-    placed = () if shapes is None else [s.effect for s in shapes.shapes if s.placed]
-    free = [*list_known(task, at, small, placed), *small.index]
-    directions = np.zeros((1 + len(free), at.c.shape[1]))
-    directions[0, 0] = float(task.mu_free)
-    directions[np.arange(1, len(directions)), free] = 1.0
-    beside = step_off_null(task, at, free)
-    c = np.repeat(beside, n, axis=0)
-    c[:, 0] = at.mu[0, task.condition] + at.own[0]
-    rows = task.model.answers(np.arange(n), c, directions, True).rows[:, :, : count_rows(task)]
-    rows = (rows / at.spread[0][:, None, None]).reshape(n, -1, len(directions) + 1)
-    # A push that cannot be followed beside the nulls says nothing.
-    rows = np.where(np.isfinite(rows).all(axis=(1, 2), keepdims=True), rows, 0.0)
-    # What adds a force changes all mu_s by the same amount, not by the same factor: so does the
-    # scatter that is compared here, or a linear prediction would take one for the other.
-    level = np.exp(at.own[0])[:, None]
-    own, plain = rows[..., 0] / level, rows[..., 1 : -1 - len(small.index)]
-    columns = rows[..., -1 - len(small.index) : -1]
-    left = rows[..., -1] - own * (level - 1)
-    away = (beside[0] - small.null)[list(small.index)]
-    left = left - columns @ away
-    if shapes is not None:
-        for shape, mine in zip(shapes.shapes, shapes.columns, strict=True):
-            left = left - shape.placed * shapes.rows[..., mine[0]]
-    condition = np.zeros((n, own.shape[1], C))
-    condition[np.arange(n), :, task.condition] = own
-    return np.concatenate([condition, plain, columns, left[:, :, None]], axis=2), own

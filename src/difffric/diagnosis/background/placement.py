@@ -12,8 +12,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.diagnosis.background.evidence import Evidence, PossibleCause, list_known
+from difffric.diagnosis.background.evidence import Evidence, PossibleCause
 from difffric.diagnosis.background.joint_fit import WIDE
+from difffric.diagnosis.background.known_columns import list_known
 from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.estimation import ensemble
 from difffric.estimation.ensemble import EnsembleTask, Fits
@@ -27,12 +28,15 @@ def predict_start(evidence: Evidence, items: Sequence[PossibleCause], share: flo
     """Return the fit (an ensemble of one, without answers) with the shapes of the `items` placed,
     of the sizes that explain most together with all other parameters; small effects among the
     items have any size, the others scatter by a `share` of their units. Shapes that are placed
-    already, and those whose size is part of the shape, stay as they are."""
+    already, and those whose size is part of the shape, stay as they are, unless an item is another
+    shape of the same effect."""
     task, at, small = evidence.task, evidence.at, evidence.small
     first, index = evidence.known, list(small.index)
     chosen = [c for item in items if _has_amplitude(item) for c in item.columns]
     whole = [x for x in items if x.shape and not x.shape.placed and not _has_amplitude(x)]
-    placed = [first + c for item in (*evidence.list_placed(), *whole) for c in item.columns]
+    moved = {x.effect for x in items if x.shape and not x.shape.placed}
+    stay = [x for x in evidence.list_placed() if x.effect not in moved]
+    placed = [first + c for item in (*stay, *whole) for c in item.columns]
     weight = evidence.likeliest_scatter**2
     weight = weight / (1 + weight * evidence.z)  # each push's own mu_s is eliminated
     own, kept = evidence.own, [*range(first + len(index)), *(first + c for c in chosen)]

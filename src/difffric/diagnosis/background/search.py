@@ -29,13 +29,11 @@ from difffric.diagnosis.background.joint_fit import (
 from difffric.diagnosis.background.placement import place_shapes, predict_start, put_small
 from difffric.diagnosis.background.shape_columns import (
     Shape,
-    ShapeColumns,
     compute_columns,
-    join_columns,
     list_nearby,
     list_placed,
-    list_shapes,
 )
+from difffric.diagnosis.background.shape_grid import ShapeGrid, leave_out
 from difffric.diagnosis.background.shape_pursuit import choose_best_shapes, pursue_shapes
 from difffric.diagnosis.background.size_scan import CUTTING, place_cutting_effects
 from difffric.diagnosis.background.small_effects import (
@@ -68,9 +66,6 @@ _LEADERS = 2
 """Those of them that are fitted to the end."""
 _ROUNDS = 8
 """Steps at most of the best of them, and of a fit with a set of causes freed."""
-_NEAR = 1.0
-"""Root mean square, in units of the noise, by which a fit may move until the columns of shapes are
-computed anew: they change by as small a share as what the model says does."""
 _COMPARISONS = 3
 """How often the sets are compared, each time where the last one's best set led."""
 _LEAST_SHARE = 0.1
@@ -115,39 +110,13 @@ class _JointSearch:
     joint: Fits
     shaped: tuple[str, ...] = ()
     """effects with a shape that are in the joint fit"""
-    grid: tuple[Fits, frozenset[str], ShapeColumns] | None = None
-    """a fit, and the columns of shapes of these effects over their grids there"""
+
+    def __post_init__(self) -> None:
+        self.grid = ShapeGrid(self.data, self.effects, self.background)
 
     def weigh(self) -> Evidence:
         """Make the comparison where the joint fit stands."""
-        return self._weigh_at(self.joint, self.shaped)
-
-    def _weigh_at(self, at: Fits, shaped: Sequence[str]) -> Evidence:
-        """Make the comparison where a fit stands that has shapes of the effects `shaped`."""
-        task = self.data.task
-        columns = self._compute_grid(at, shaped)
-        if shaped:
-            columns = join_columns(
-                compute_columns(task, at, list_placed(task, at, shaped)), columns
-            )
-        evidence = Evidence(task, at, self.small, columns, self.background)
-        # A shape that lies between two of the grid is to count as much as one that is on it.
-        best = [one.items[0].shape for one in choose_best_shapes(evidence, 1)]
-        nearby = list_nearby([x for x in best if x is not None and x.along is not None])
-        return evidence.add_columns(compute_columns(task, at, nearby)) if nearby else evidence
-
-    def _compute_grid(self, at: Fits, shaped: Sequence[str]) -> ShapeColumns:
-        """Compute the columns of shapes over their grids, of effects other than `shaped`; those of
-        a fit that is hardly another one are kept."""
-        others = [effect for effect in self.effects if effect not in shaped]
-        if self.grid is not None:
-            there, looked_for, columns = self.grid
-            if set(others) <= looked_for and _is_near(self.data.task, there, at):
-                return columns.pick(others)
-        shapes = list_shapes(self.data.task, others, self.data.scales)
-        columns = compute_columns(self.data.task, at, shapes)
-        self.grid = at, frozenset(others), columns
-        return columns
+        return self.grid.weigh(self.small, self.joint, self.shaped)
 
     def _compare_shapes(self, at: Fits, shapes: Sequence[Shape]) -> Evidence:
         """Make the comparison of small effects and these shapes."""
@@ -157,7 +126,8 @@ class _JointSearch:
     def add_shape(self, evidence: Evidence) -> bool:
         """Add the effect with a shape that helps most; whether any does."""
         task = self.small.assume(self.data.task, WIDE)
-        first = choose_best_shapes(evidence, _OF_EACH)[:_SHAPES_FITTED]
+        best = choose_best_shapes(evidence, _OF_EACH)
+        first = [one for one in best if not one.effects & set(self.shaped)][:_SHAPES_FITTED]
         if not first:
             return False
         # What one effect does, small ones together may nearly do: begin without them, too.
@@ -208,13 +178,8 @@ class _JointSearch:
         task = self.small.assume(self.data.task, WIDE)
         starts, prices = [], []
         for effect in (x for x in self.shaped if x not in CUTTING):
-            bare, shaped = self._take_out([effect])
-            shapes = list_placed(task, bare, shaped)
-            around = list_shapes(task, [effect], self.data.scales)
-            for _ in range(2):  # those of the grid, then those near the best one
-                there = self._compare_shapes(bare, [*shapes, *around])
-                found = pursue_shapes(there, 1)
-                around = list_nearby([item.shape for item in found.items if item.shape])
+            there = self.grid.weigh(self.small, *self._take_out([effect]), [effect])
+            found = pursue_shapes(there, 1)
             if found.items:
                 starts.append(predict_start(there, found.items))
                 prices.append(compute_price(there, found.items))
@@ -231,13 +196,7 @@ class _JointSearch:
     def _take_out(self, effects: Sequence[str]) -> tuple[Fits, tuple[str, ...]]:
         """Return the joint fit without the shapes of some effects, all else as it is, and the
         effects whose shapes are still in it."""
-        index = self.data.task.model.coordinates.indices(
-            [name for effect in effects for name in numbers_of(effect)]
-        )
-        c = self.joint.c.copy()
-        c[0, index] = 0.0
-        extra = tuple(i for i in self.joint.extra[0] if i not in index)
-        bare = replace(self.joint, c=c, extra=(extra,), gram=None, residual=None, damping=None)
+        bare = leave_out(self.data.task, self.joint, effects)
         shaped = tuple(effect for effect in self.shaped if effect not in effects)
         return ensemble.evaluate(self.small.assume(self.data.task, WIDE), bare), shaped
 
@@ -248,7 +207,7 @@ class _JointSearch:
         if not small:
             return False
         bare, shaped = self._take_out(small)
-        found = self._place_beside(bare, shaped, self._weigh_at(bare, shaped))
+        found = self._place_beside(bare, shaped, self.grid.weigh(self.small, bare, shaped))
         if found is None:
             return False
         self.joint, self.shaped = found
@@ -298,7 +257,7 @@ class _JointSearch:
             if item.shape is None:  # where it is now is where its smallness held it
                 put_small(start.c, self.data.task, self.small, item, sizes[first])
             first += len(item.columns)
-        new = (x.effect for x in items if x.shape is not None and not x.shape.placed)
+        new = (x.effect for x in items if x.shape is not None and x.effect not in self.shaped)
         task = free_causes(self.data.task, self.small, evidence, items)
         # One of them may be far off: a large cause alone, or the linear answer where it is none.
         starts = ensemble.join(start, predict_start(evidence, items))
@@ -306,16 +265,6 @@ class _JointSearch:
         best = int(np.argmin(ensemble.criterion(task, fits)))
         self.joint = ensemble_refits.refit(task, fits.pick(best), _ROUNDS)
         self.shaped = (*self.shaped, *new)
-
-
-def _is_near(task: EnsembleTask, one: Fits, other: Fits) -> bool:
-    """Whether two fits (ensembles of one) differ by less than `_NEAR` of the noise."""
-    if one is other:
-        return True
-    if one.residual is None or other.residual is None:
-        return False
-    between = (one.residual[0] - other.residual[0]) / other.spread[0][:, None]
-    return float((between**2).sum()) < _NEAR**2 * float(task.counts.sum())
 
 
 def free_causes(

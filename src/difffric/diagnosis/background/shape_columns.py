@@ -19,8 +19,10 @@ from difffric.estimation.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import CATALOGUE, numbers_of
 from difffric.rig.scales import Scales
 
-_WAVES = {"friction_waviness": "wavelength_m", "pusher_ripple": "period_m"}
+WAVES: dict[str, str] = {"friction_waviness": "wavelength_m", "pusher_ripple": "period_m"}
 _PATCH = "friction_patch"
+MOVABLE = (*WAVES, _PATCH)
+"""Effects whose shape lies somewhere on an axis: a length, a place."""
 _SIZED = ("stribeck", "force_saturation", "pusher_duration", "pusher_lag")
 """Effects whose one number has no derivative at its null, or none that steps of finite length find:
 a column for each size."""
@@ -30,8 +32,11 @@ _MOST_WAVES = 60
 """Wavelengths at most."""
 _PER_WAY = 2.5
 """Wavelengths that a median way tells apart, for each turn of a wave in it."""
-_AMPLITUDE = 0.002
-"""Amplitude of a shape whose change is taken: so small that it is linear."""
+AMPLITUDE = 2e-4
+"""Amplitude of a wave whose change is taken: so small that it is linear. A ripple of ten times as
+much changes pushes by up to a third more or less than in proportion."""
+_OF_PATCH = 0.002
+"""The same of a patch."""
 _PLACES = 14
 """Places within the shortest way, and again as many beyond it."""
 _BESIDE, _NEARBY = 0.7, 9
@@ -52,7 +57,7 @@ class Shape:
     typical: float
     """the amplitude that one may meet"""
     along: int | None = None
-    """the coordinate of a wave's length, or of a patch's place"""
+    """the coordinate of a patch's place"""
     near: tuple[float, float] = (0.0, 0.0)
     """between which of it no other shape of the grid is nearer, and a little beyond"""
     placed: bool = False
@@ -61,7 +66,7 @@ class Shape:
     @property
     def numbers(self) -> int:
         """How many numbers say how large it is: of a wave those of its sine and its cosine."""
-        return 2 if self.effect in _WAVES else 1
+        return 2 if self.effect in WAVES else 1
 
 
 @dataclass(frozen=True)
@@ -92,26 +97,26 @@ class ShapeColumns:
         )
 
 
-def join_columns(first: ShapeColumns, second: ShapeColumns) -> ShapeColumns:
-    """Return the columns of the `second` shapes behind those of the `first`."""
-    before = first.rows.shape[-1]
-    later = tuple(tuple(c + before for c in columns) for columns in second.columns)
+def join_columns(*parts: ShapeColumns) -> ShapeColumns:
+    """Return the columns of all shapes, one part's behind the other's."""
+    columns, before = [], 0
+    for part in parts:
+        columns += [tuple(c + before for c in own) for own in part.columns]
+        before += part.rows.shape[-1]
     return ShapeColumns(
-        (*first.shapes, *second.shapes),
-        (*first.columns, *later),
-        np.concatenate([first.rows, second.rows], axis=2),
-        np.concatenate([first.unit, second.unit]),
-        np.concatenate([first.typical, second.typical]),
+        tuple(shape for part in parts for shape in part.shapes),
+        tuple(columns),
+        np.concatenate([part.rows for part in parts], axis=2),
+        np.concatenate([part.unit for part in parts]),
+        np.concatenate([part.typical for part in parts]),
     )
 
 
 def list_shapes(task: EnsembleTask, effects: Sequence[str], scales: Scales) -> list[Shape]:
-    """List the shapes of those of the `effects` that have any."""
+    """List the shapes of those of the `effects` that have any, but for waves."""
     coordinates, found = task.model.coordinates, []
     for effect in effects:
-        if effect in _WAVES:
-            found += _list_waves(task, effect, scales)
-        elif effect == _PATCH:
+        if effect == _PATCH:
             found += _list_patches(task, scales)
         elif effect in _SIZED:
             for value in list_starting_values(effect, scales):
@@ -123,7 +128,7 @@ def list_shapes(task: EnsembleTask, effects: Sequence[str], scales: Scales) -> l
 
 
 def list_nearby(shapes: Sequence[Shape]) -> list[Shape]:
-    """List the waves and patches that lie near each of the `shapes` on the grid."""
+    """List the patches that lie near each of the `shapes` on the grid; others as they are."""
     found = []
     for one in shapes:
         if one.along is None:
@@ -156,21 +161,34 @@ def _is_size(name: str) -> bool:
     return name.partition(".")[2] not in ("wavelength_m", "period_m", "start_m")
 
 
-def _list_waves(task: EnsembleTask, effect: str, scales: Scales) -> Iterator[Shape]:
-    """Yield waves of lengths that the pushes tell apart."""
-    coordinates = task.model.coordinates
-    names = (f"{effect}.amplitude", f"{effect}.{_WAVES[effect]}", f"{effect}.phase_rad")
-    sine, length, cosine = coordinates.indices(names)
-    way = scales.ways if effect != "pusher_ripple" else np.full(task.n, scales.travel)
-    first, step = 0.5 / np.max(way), 1.0 / (_PER_WAY * np.median(way))
-    size = _AMPLITUDE / coordinates.unit[sine]
-    for turns in np.arange(first, min(1.0 / _SHORTEST, first + _MOST_WAVES * step), step):
-        ends = np.array(
-            [1.0 / (turns + x * step) for x in (0.0, _BESIDE, -min(_BESIDE, 0.5 * first / step))]
-        )
-        at, *near = (ends - coordinates.null[length]) / coordinates.unit[length]
+def get_ways(effect: str, scales: Scales) -> NDArray:
+    """The ways (n,) [m] along which a wave of this effect lies: the tip's, or those of the part."""
+    return scales.tips if effect == "pusher_ripple" else scales.ways
+
+
+def divide_turns(ways: NDArray) -> NDArray:
+    """Divide the turns [1/m] of waves into cells, of each of which the best wave is compared: their
+    ascending edges, as close as a median way tells them apart."""
+    first, step = 0.5 / np.max(ways), 1.0 / (_PER_WAY * np.median(ways))
+    middles = np.arange(first, min(1.0 / _SHORTEST, first + _MOST_WAVES * step), step)
+    return np.append(0.5 * first, middles + 0.5 * step)
+
+
+def number_wave(task: EnsembleTask, effect: str) -> tuple[int, int, int]:
+    """The coordinates of a wave's sine, its length and its cosine."""
+    names = (f"{effect}.amplitude", f"{effect}.{WAVES[effect]}", f"{effect}.phase_rad")
+    sine, length, cosine = task.model.coordinates.indices(names)
+    return sine, length, cosine
+
+
+def list_waves(task: EnsembleTask, effect: str, turns: NDArray) -> list[Shape]:
+    """List waves of so many turns [1/m]."""
+    coordinates, (sine, length, cosine) = task.model.coordinates, number_wave(task, effect)
+    size, found = AMPLITUDE / coordinates.unit[sine], []
+    for at in ((1.0 / turns) - coordinates.null[length]) / coordinates.unit[length]:
         both = ({sine: size, cosine: 0.0, length: at}, {sine: 0.0, cosine: size, length: at})
-        yield Shape(effect, both, _AMPLITUDE, _find_typical(effect), length, tuple(near))
+        found.append(Shape(effect, both, AMPLITUDE, _find_typical(effect)))
+    return found
 
 
 def _list_patches(task: EnsembleTask, scales: Scales) -> Iterator[Shape]:
@@ -179,13 +197,11 @@ def _list_patches(task: EnsembleTask, scales: Scales) -> Iterator[Shape]:
     amplitude, start = coordinates.indices(numbers_of(_PATCH))
     low, high = np.min(scales.ways), np.max(scales.ways)
     places = np.linspace(_NEAREST, 1.0, _PLACES) * low
-    size, typical = _AMPLITUDE / coordinates.unit[amplitude], _find_typical(_PATCH)
+    size, typical = _OF_PATCH / coordinates.unit[amplitude], _find_typical(_PATCH)
     for place in np.append(places, np.linspace(low, high, _PLACES)[1:-1]):
         ends = place + np.array([0.0, -_BESIDE, _BESIDE]) * low / _PLACES
         at, *near = (ends - coordinates.null[start]) / coordinates.unit[start]
-        yield Shape(
-            _PATCH, ({amplitude: size, start: at},), _AMPLITUDE, typical, start, tuple(near)
-        )
+        yield Shape(_PATCH, ({amplitude: size, start: at},), _OF_PATCH, typical, start, tuple(near))
 
 
 def _find_typical(effect: str) -> float:
@@ -209,23 +225,28 @@ def compute_columns(task: EnsembleTask, at: Fits, shapes: Sequence[Shape]) -> Sh
     signs = np.array([1.0 - 2.0 * one.placed for one in shapes for _ in one.points])
     moved *= signs[:, None, None]
     good = np.isfinite(moved).all(axis=(1, 2)) & (moved != 0).any(axis=(1, 2))
-    kept, columns, which, unit, row = [], [], [], [], 0
+    kept, which, row = [], [], 0
     for one in shapes:
         mine = list(range(row, row + len(one.points)))
         row += len(mine)
         if good[mine].all():
-            most = change[mine].max() / one.amplitude
-            columns.append(tuple(range(len(which), len(which) + len(mine))))
             which += mine
-            unit += [min(one.typical, UNIT_CHANGE / max(most, 1e-12))] * len(mine)
             kept.append(one)
     sizes = np.array([one.amplitude for one in kept for _ in one.points])
-    number = [
-        1 if one.placed else sum(other.effect == one.effect for other in kept)
-        for one in kept
-        for _ in one.points
-    ]
     rows = np.moveaxis(moved[which], 0, 2) / sizes if which else np.zeros((*moved.shape[1:], 0))
-    typical = np.array([one.typical for one in kept for _ in one.points])
-    share = np.sqrt(np.maximum(np.array(number), 1))
-    return ShapeColumns(tuple(kept), tuple(columns), rows, np.array(unit) / share, typical)
+    return make_columns(kept, rows, change[which] / sizes if which else sizes)
+
+
+def make_columns(shapes: Sequence[Shape], rows: NDArray, change: NDArray) -> ShapeColumns:
+    """Make the columns of shapes from what amplitude 1 of each changes: `rows` (n, R, C), and of
+    F_p or d `change` (C,)."""
+    columns, unit, typical, first = [], [], [], 0
+    for one in shapes:
+        mine = range(first, first + len(one.points))
+        first += len(mine)
+        columns.append(tuple(mine))
+        number = 1 if one.placed else sum(other.effect == one.effect for other in shapes)
+        size = min(one.typical, UNIT_CHANGE / max(change[mine].max(), 1e-12))
+        unit += [size / np.sqrt(number)] * len(mine)
+        typical += [one.typical] * len(mine)
+    return ShapeColumns(tuple(shapes), tuple(columns), rows, np.array(unit), np.array(typical))

@@ -41,10 +41,11 @@ def choose_best_shapes(evidence: Evidence, of_each: int) -> list[CauseSet]:
 
 
 def pursue_shapes(evidence: Evidence, most: int) -> PursuedShapes:
-    """Return at most so many shapes that are not placed yet, whose drops of chi-square are above
-    their prices and whose sizes make sense."""
+    """Return at most so many shapes, of effects that are not placed yet, whose drops of chi-square
+    are above their prices and whose sizes make sense."""
     M, h, first = evidence.project_out_small()
-    shaped = [x for x in evidence.items if x.shape is not None and not x.shape.placed]
+    there_already = {item.effect for item in evidence.list_placed()}
+    shaped = [x for x in evidence.items if x.shape and x.effect not in there_already]
     placed = [c - first for item in evidence.list_placed() for c in item.columns]
     chosen: list[PossibleCause] = []
     for _ in range(most):

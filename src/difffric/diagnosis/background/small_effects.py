@@ -134,12 +134,20 @@ def ask_at(task: EnsembleTask, at: Fits, points: NDArray) -> tuple[NDArray, NDAr
     ensemble of one) has it: the residuals (m, n, 2, R) in units of the noise, and F_p and d
     (m, n, 2)."""
     n, size = task.n, len(points)
-    c = np.repeat(points[:, None], n, axis=1)
-    c[:, :, 0] = at.mu[0, task.condition] + at.own[0]
-    none = np.zeros((0, points.shape[1]))
-    found = task.model.answers(np.tile(np.arange(n), size), c.reshape(-1, c.shape[2]), none)
-    r = found.residual[..., : count_rows(task)].reshape(size, n, 2, -1)
-    return r / at.spread[0][:, None], found.model.reshape(size, n, 2)
+    r, model = ask_pushes(task, at, np.tile(np.arange(n), size), np.repeat(points, n, axis=0))
+    return r.reshape(size, n, 2, -1), model.reshape(size, n, 2)
+
+
+def ask_pushes(
+    task: EnsembleTask, at: Fits, index: NDArray, points: NDArray
+) -> tuple[NDArray, NDArray]:
+    """Return the same for pushes `index` (N,), each at its own one of the `points` (N, K):
+    (N, 2, R) and (N, 2)."""
+    c = points.copy()
+    c[:, 0] = (at.mu[0, task.condition] + at.own[0])[index]
+    found = task.model.answers(index, c, np.zeros((0, points.shape[1])))
+    r = found.residual[..., : count_rows(task)]
+    return r / at.spread[0][:, None], found.model
 
 
 def count_rows(task: EnsembleTask) -> int:

@@ -1,0 +1,65 @@
+"""The columns of a linear comparison: what the parameters and small effects change where a fit
+stands, and what is left without these effects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from difffric.diagnosis.background.shape_columns import ShapeColumns
+from difffric.diagnosis.background.small_effects import (
+    SmallEffects,
+    count_rows,
+    step_off_null,
+)
+from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.rig.catalogue import numbers_of
+
+
+def list_known(
+    task: EnsembleTask, at: Fits, small: SmallEffects, placed: Sequence[str]
+) -> list[int]:
+    """List the coordinates that are known to be in the model, in the order of their columns: the
+    plain ones, and what `at` has free besides small effects and the shapes `placed`."""
+    held = {
+        *small.index,
+        *task.model.coordinates.indices([n for e in placed for n in numbers_of(e)]),
+    }
+    return [*task.shared, *(i for i in at.extra[0] if i not in held)]
+
+
+def collect_rows(
+    task: EnsembleTask, at: Fits, small: SmallEffects, shapes: ShapeColumns | None
+) -> tuple[NDArray, NDArray]:
+    """The columns (n, R, p) of each push: the plain parameters, what `at` has free besides, the
+    small effects, and what would be left without the small effects and the placed shapes; and that
+    of the push's own mu_s (n, R)."""
+    n, C = task.n, task.conditions
+    placed = () if shapes is None else [s.effect for s in shapes.shapes if s.placed]
+    free = [*list_known(task, at, small, placed), *small.index]
+    directions = np.zeros((1 + len(free), at.c.shape[1]))
+    directions[0, 0] = float(task.mu_free)
+    directions[np.arange(1, len(directions)), free] = 1.0
+    beside = step_off_null(task, at, free)
+    c = np.repeat(beside, n, axis=0)
+    c[:, 0] = at.mu[0, task.condition] + at.own[0]
+    rows = task.model.answers(np.arange(n), c, directions, True).rows[:, :, : count_rows(task)]
+    rows = (rows / at.spread[0][:, None, None]).reshape(n, -1, len(directions) + 1)
+    # A push that cannot be followed beside the nulls says nothing.
+    rows = np.where(np.isfinite(rows).all(axis=(1, 2), keepdims=True), rows, 0.0)
+    # What adds a force changes all mu_s by the same amount, not by the same factor: so does the
+    # scatter that is compared here, or a linear prediction would take one for the other.
+    level = np.exp(at.own[0])[:, None]
+    own, plain = rows[..., 0] / level, rows[..., 1 : -1 - len(small.index)]
+    columns = rows[..., -1 - len(small.index) : -1]
+    left = rows[..., -1] - own * (level - 1)
+    away = (beside[0] - small.null)[list(small.index)]
+    left = left - columns @ away
+    if shapes is not None:
+        for shape, mine in zip(shapes.shapes, shapes.columns, strict=True):
+            left = left - shape.placed * shapes.rows[..., mine[0]]
+    condition = np.zeros((n, own.shape[1], C))
+    condition[np.arange(n), :, task.condition] = own
+    return np.concatenate([condition, plain, columns, left[:, :, None]], axis=2), own
