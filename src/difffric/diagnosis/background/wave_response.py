@@ -36,7 +36,7 @@ _DENSER = 1.3
 """How many times as dense as necessary the samples are."""
 _HALF_WIDTH, _BETA = 7, 5.0
 """Samples on either side that a value is made of, and Kaiser's window over them."""
-_BEYOND = 3
+_BEYOND = 7
 """Samples beyond the shortest wave."""
 _LOOKS = 6.0
 """Looks per turn that the longest way tells apart."""
