@@ -15,7 +15,7 @@ from difffric.calibration.free_parameters import (
     has_gauge,
 )
 from difffric.calibration.multistart import fit_from_starts, make_starts
-from difffric.calibration.recording_search import RecordingSearch
+from difffric.calibration.recording_search import NearStart, RecordingSearch
 from difffric.calibration.result import Fit, FitState
 from difffric.calibration.result_builder import build_fit
 from difffric.compute.precision import require_float64
@@ -118,9 +118,9 @@ def fit(
     return build_fit(setup, pushes, reduction, state, reached, task.notes)
 
 
-def refine_fit(setup: Setup, reduction: Reduction, worth: float = 0.0) -> Fit:
-    """Fit recordings whose `reduction` is known, as `fit` does by default, from a set-up that is
-    near the optimum already; a step that gains less than is `worth` it in chi-square is the last.
+def refine_fit(setup: Setup, reduction: Reduction, near: NearStart) -> Fit:
+    """Fit recordings whose `reduction` is known, as `fit` does by default, from a set-up and
+    scattering mu_s that are near the optimum already.
 
     Where that leads nowhere, the search begins as `fit` does. Raises `NumericalError` where no
     start gives a finite misfit.
@@ -128,7 +128,8 @@ def refine_fit(setup: Setup, reduction: Reduction, worth: float = 0.0) -> Fit:
     wishes = _Wishes(None, ("mu_s",), False, False, False, False, None)
     task = _arrange(setup, reduction.pushes, wishes)
     task.notes.extend(_describe_recordings(setup, reduction))
-    search = RecordingSearch(task.model, reduction, task.starts, silent, thorough=False, near=worth)
+    given = task.model, reduction, task.starts, silent
+    search = RecordingSearch(*given, thorough=False, near=near)
     try:
         found = search.run()
     except NumericalError:

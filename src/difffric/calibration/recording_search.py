@@ -25,8 +25,10 @@ from difffric.estimation.descent import (
     Model,
     Settled,
     blind_to_motion,
+    descend,
     first_point,
     prepare_descent,
+    take_end,
 )
 from difffric.estimation.mixed_fit import ROUNDS, settle
 from difffric.estimation.push_friction import rescan_push_friction, spread_push_friction
@@ -64,6 +66,18 @@ _POOR = 1.15
 
 
 @dataclass(frozen=True)
+class NearStart:
+    """A start near the optimum, beside the shared coordinates."""
+
+    log_mu: NDArray
+    """(n,) of each push"""
+    scatter: float
+    """of mu_s"""
+    worth: float
+    """what a step has to gain in chi-square"""
+
+
+@dataclass(frozen=True)
 class RecordingSearch:
     """The search for the fit of recordings."""
 
@@ -77,9 +91,9 @@ class RecordingSearch:
     """is called with the progress"""
     thorough: bool = True
     """whether further starts are followed where the fit is poor"""
-    near: float | None = None
-    """what a step has to gain in chi-square, where the first of the starts is near the optimum: it
-    is then the only one; None: it is not known to be"""
+    near: NearStart | None = None
+    """what is known besides where the first of the starts is near the optimum: it is then the only
+    one; None: it is not known to be"""
 
     def run(self) -> tuple[FitState, tuple[int, int]]:
         """The best fit, and how many of the starts that were followed lead to it.
@@ -178,7 +192,8 @@ class RecordingSearch:
             _GUARD if self.model.free_start else 0.0,
             pushes.motion,
         )
-        model, data = replace(self.model, rig=rig), replace(data, worth=self.near or 0.0)
+        worth = self.near.worth if self.near is not None else 0.0
+        model, data = replace(self.model, rig=rig), replace(data, worth=worth)
         if pushes.motion is not None:
             data = blind_to_motion(model, data, self.reduction.recordings, at)
         return model, data
@@ -197,10 +212,12 @@ class RecordingSearch:
             rough = settle(model, as_if_white(data), at, trust=_TRUST, rounds=_LAST_ROUNDS)
             at = replace(first_point(model, data, rough.theta), s_eta=rough.s_eta)
         rounds, elsewhere = ROUNDS, [self._find_branches, spread_push_friction]
-        if self.near is not None:
+        if self.near is None:
+            at = settle(model, data, at, trust=_TRUST, rounds=rounds)
+            tell_best_fit(model, at, self.tell)
+        else:  # where its jumps are is as good as known
             rounds, elsewhere = 2 * _LAST_ROUNDS, []
-        at = settle(model, data, at, trust=_TRUST, rounds=rounds)
-        tell_best_fit(model, at, self.tell)
+            at = self._look_near(model, data, at, self.near)
         while rounds > _LAST_ROUNDS:
             jumps = np.asarray(at.end.jumps)[: data.n]
             model, data = self._stack_samples(jumps, stiffest, at)
@@ -212,6 +229,14 @@ class RecordingSearch:
             if _are_same(jumps, np.asarray(at.end.jumps)[: data.n]):
                 break
         return FitState(model, data, at)
+
+    def _look_near(self, model: Model, data: FitData, at: Settled, near: NearStart) -> Settled:
+        """The samples as they are at a start near the optimum, without a step."""
+        c = model.layout.fixed + model.layout.selection @ at.theta
+        scatter = near.scatter if model.estimate_scatter else at.scatter
+        at = replace(at, s_eta=near.log_mu - c[:, 0], scatter=scatter)
+        end = descend(model, data, at, at.held, at.weights, scatter, _TRUST, steps=1)
+        return take_end(at, end, at.held, scatter)
 
     def _channel_noise(self) -> list[Noise]:
         found = self.reduction.details[0]

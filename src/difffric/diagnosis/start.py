@@ -20,6 +20,7 @@ from difffric.calibration.free_parameters import (
     choose_free,
     has_gauge,
 )
+from difffric.calibration.recording_search import NearStart
 from difffric.diagnosis.background.growing_horizon import start_plain_fit
 from difffric.diagnosis.data import (
     DiagnosisData,
@@ -51,8 +52,9 @@ _SLIDE_READ = 1e-3
 mu_s scatters counts as scatter, and nothing as noise."""
 _ROUNDS = 20
 """Steps at most of each fit of the plain model."""
-_WORTH = 1e-3
-"""The share of a misfit that a step of the plain calibration has to explain."""
+_WORTH, _LEAST_WORTH = 1e-3, 0.01
+"""The share of a misfit that a step of the plain calibration has to explain, and by how much a step
+has to lower chi-square at least."""
 _SIZES = (0.3, 0.6, 0.85, 1.18, 1.7, 3.0)
 """Shares of an effect's size from which a model that has not arrived is fitted anew."""
 _FIRST_ROUNDS, _LAST_ROUNDS, _FINALISTS = 4, 30, 3
@@ -166,8 +168,10 @@ def calibrate_plain(start: SearchStart, plain: Fits) -> Fit:
     task, own = start.data.task, start.own
     bare = replace(plain, extra=((),))
     near = replace(own, rig=extend_rig(own.rig, task, bare))
-    worth = _WORTH * max(measure_lack_of_fit(task, plain).excess, 0.0)
-    return refine_fit(near, start.data.reduction, worth)
+    worth = max(_WORTH * measure_lack_of_fit(task, plain).excess, _LEAST_WORTH)
+    log_mu = plain.mu[0, task.condition] + plain.own[0]
+    beside = NearStart(log_mu, float(plain.scatter[0]), worth)
+    return refine_fit(near, start.data.reduction, beside)
 
 
 def is_out_of_reach(data: DiagnosisData) -> bool:

@@ -8,12 +8,14 @@ Axes as in `ensemble`.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from difffric.estimation import ensemble as en
 from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.following.differenced_model import DifferencedModel
 
 _STALE = 1.0
 """Standard deviations that a push's own mu_s may be off where a fit stands."""
@@ -98,9 +100,10 @@ def _has_many(task: EnsembleTask, fits: Fits) -> bool:
 
 def _settle_narrowly(task: EnsembleTask, fits: Fits, pushes: NDArray | None) -> Fits:
     """The fits with each push's own mu_s at what is best, their answers without the derivatives by
-    any other parameter."""
+    any other parameter, and with that by this one from differences."""
     alone = replace(fits, extra=((),) * fits.m)
-    found = _settle(replace(task, shared=()), alone, pushes)
+    model: Any = DifferencedModel(task.model)
+    found = _settle(replace(task, shared=(), model=model), alone, pushes)
     return replace(found, extra=fits.extra)
 
 
