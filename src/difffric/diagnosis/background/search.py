@@ -33,7 +33,7 @@ from difffric.diagnosis.background.shape_columns import (
     list_nearby,
     list_placed,
 )
-from difffric.diagnosis.background.shape_grid import ShapeGrid, leave_out
+from difffric.diagnosis.background.shape_grid import ShapeGrid, is_near, leave_out
 from difffric.diagnosis.background.shape_pursuit import choose_best_shapes, pursue_shapes
 from difffric.diagnosis.background.size_scan import CUTTING, place_cutting_effects
 from difffric.diagnosis.background.small_effects import (
@@ -50,7 +50,7 @@ from difffric.rig.catalogue import numbers_of
 MOST_EXCESS = 1.5
 """By how many times the noise the small effects and the columns of shapes may leave, to be
 trusted."""
-_SHAPES_FITTED, _OF_EACH = 6, 2
+_SHAPES_FITTED, _OF_EACH = 8, 2
 """Shapes from which a fit is begun where they leave more, and of each effect."""
 _MOST_SHAPED = 8
 """How often effects with a shape are added, or moved."""
@@ -127,7 +127,10 @@ class _JointSearch:
         """Add the effect with a shape that helps most; whether any does."""
         task = self.small.assume(self.data.task, WIDE)
         best = choose_best_shapes(evidence, _OF_EACH)
-        first = [one for one in best if not one.effects & set(self.shaped)][:_SHAPES_FITTED]
+        best = [one for one in best if not one.effects & set(self.shaped)]
+        # The best of each effect before any other: those of a fine grid all seem to explain much.
+        first = list({next(iter(one.effects)): one for one in reversed(best)}.values())[::-1]
+        first = [*first, *(one for one in best if one not in first)][:_SHAPES_FITTED]
         if not first:
             return False
         # What one effect does, small ones together may nearly do: begin without them, too.
@@ -170,6 +173,30 @@ class _JointSearch:
         if found is None:
             return False
         self.joint, self.shaped = found
+        return True
+
+    def drop_shape(self, evidence: Evidence) -> bool:
+        """Drop one of the shapes without which the fit is no worse, once the others are there;
+        whether there is one."""
+        if len(self.shaped) < 2:
+            return False
+        task = self.small.assume(self.data.task, WIDE)
+        bases = (self.joint, self._forget_small())
+        starts = [leave_out(task, at, {effect}) for at in bases for effect in self.shaped]
+        some = choose_subset(task) if task.model.recordings else None
+        fits = ensemble_refits.refit(task, ensemble.join(*starts), _FIRST_ROUNDS, some)
+        leaders = np.argsort(ensemble.criterion(task, fits))[:_LEADERS]
+        starts = replace(fits.pick(leaders), gram=None, residual=None, damping=None)
+        fits = ensemble_refits.refit(task, starts, _ROUNDS, tol=ROUGHLY)
+        best = int(np.argmin(ensemble.criterion(task, fits)))
+        gone = self.shaped[int(leaders[best]) % len(self.shaped)]
+        before, after = (
+            float(ensemble.criterion(task, x)[0]) for x in (self.joint, fits.pick(best))
+        )
+        if after > before:
+            return False
+        self.joint = fits.pick(best)
+        self.shaped = tuple(effect for effect in self.shaped if effect != gone)
         return True
 
     def move_shape(self, evidence: Evidence) -> bool:
@@ -234,7 +261,7 @@ class _JointSearch:
             fits = ensemble_refits.refit(task, start, _ROUNDS, tol=ROUGHLY)
             gain = before - float(ensemble.criterion(task, fits)[0])
             if gain > 2 * compute_price(evidence, found.items):
-                return fits, (*shaped, *(item.effect for item in found.items))
+                return fits, tuple(dict.fromkeys((*shaped, *(x.effect for x in found.items))))
         return None
 
     def _forget_small(self) -> Fits:
@@ -293,13 +320,15 @@ def search_background(
         if evidence.excess > MOST_EXCESS:
             ways = [search.add_shape, search.place_shapes]
         if measure_left(data.task, search.joint) > ARRIVED:
-            ways = [search.place_cuts, *ways, search.move_shape, search.place_shapes_anew]
+            ways = [search.place_cuts, search.drop_shape, *ways]
+            ways += [search.move_shape, search.place_shapes_anew]
         if not any(place(evidence) for place in ways):
             break
         evidence = search.weigh()
     # The plain fit may be far from here, and what is small there need not be so here.
-    search.small = small = measure_units(data.task, search.joint, small)
-    evidence = search.weigh()
+    if not is_near(data.task, plain, search.joint):
+        search.small = small = measure_units(data.task, search.joint, small)
+        evidence = search.weigh()
     sets = search_sets(evidence, evidence.items)
     singles = [one for one in sets if len(one.items) == 1]
     first = evidence

@@ -21,6 +21,9 @@ from difffric.diagnosis.background.cause_sets import (
 )
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
 
+_RIDGE = 1e-9
+"""What is added to the diagonal of the information, as a share of it."""
+
 
 class PursuedShapes(NamedTuple):
     """Shapes that together explain what small effects leave."""
@@ -44,6 +47,8 @@ def pursue_shapes(evidence: Evidence, most: int) -> PursuedShapes:
     """Return at most so many shapes, of effects that are not placed yet, whose drops of chi-square
     are above their prices and whose sizes make sense."""
     M, h, first = evidence.project_out_small()
+    # Two that do the same share what they do.
+    M = M + _RIDGE * np.diag(np.maximum(np.diag(M), 1e-12))
     there_already = {item.effect for item in evidence.list_placed()}
     shaped = [x for x in evidence.items if x.shape and x.effect not in there_already]
     placed = [c - first for item in evidence.list_placed() for c in item.columns]
@@ -73,7 +78,7 @@ def _add(M: NDArray, h: NDArray, there: list[int], mine: list[int]) -> tuple[flo
     if there:
         cross = np.linalg.solve(M[np.ix_(there, there)], M[np.ix_(there, mine)])
         A, q = A - M[np.ix_(mine, there)] @ cross, q - h[there] @ cross
-    floor = 1e-9 * np.diag(M[np.ix_(mine, mine)])  # one that the others do as well explains nothing
+    floor = 2 * _RIDGE * np.diag(M[np.ix_(mine, mine)])  # what the others do as well is nothing
     if (np.diag(A) <= floor).any():
         return 0.0, np.zeros(len(mine))
     size = -np.linalg.solve(A, q)
