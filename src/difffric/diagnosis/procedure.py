@@ -16,6 +16,7 @@ from difffric.diagnosis.background.cause_sets import compute_price
 from difffric.diagnosis.background.evidence import PossibleCause
 from difffric.diagnosis.background.free_curves import compare_with_curves
 from difffric.diagnosis.background.friction_estimate import estimate_friction
+from difffric.diagnosis.background.joint_search import ARRIVED, MOST_EXCESS
 from difffric.diagnosis.background.naming import (
     BACKGROUND,
     choose_by_fits,
@@ -26,8 +27,6 @@ from difffric.diagnosis.background.naming import (
     list_outstanding,
 )
 from difffric.diagnosis.background.search import (
-    ARRIVED,
-    MOST_EXCESS,
     BackgroundSearch,
     fit_beside_background,
     search_background,

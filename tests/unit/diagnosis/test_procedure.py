@@ -70,6 +70,11 @@ def test_nothing_is_named_where_nothing_is_hidden(tmp_path):
     assert one.found.verdict == "adequate" and not one.found.causes
     gain = one.found.gain
     assert gain.after == gain.before == pytest.approx(gain.noise_floor, rel=0.2)
+    # The plain calibration, begun where the plain fit of the diagnosis ended, is that of `fit`.
+    alone, beside = df.fit(one.setup, df.load(one.path)), one.found.plain
+    assert beside.chi2 == pytest.approx(alone.chi2, abs=0.1)
+    away = np.abs(beside.mu_s - alone.mu_s) / alone.mu_s_se
+    assert away.max() < 0.1
 
 
 def test_two_effects_are_both_named(tmp_path):
