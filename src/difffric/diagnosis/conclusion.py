@@ -48,6 +48,9 @@ LEFT = 0.3
 ALIKE = 2 * np.log(20.0)
 """Drops of -2 log likelihood within this of each other do not tell two effects apart: odds of 20
 to 1."""
+_MUCH, _SURELY = 0.5, 6.0
+"""The same where no curve explains it better than the causes, and standard deviations by which what
+is left is more than noise."""
 _DOUBTED = 0.1
 """The same from which a lone cause is held against components that may bend freely."""
 _FAR_MORE = 3.0
@@ -278,8 +281,14 @@ def _locate_unexplained(
     task, plain, whole = found.data.task, found.plain, found.whole
     left = 0.0 if arrived else float(np.sqrt(max(after.excess, 0.0) / found.scale))
     nothing = not found.causes and not arrived
-    if task.model.in_columns or found.explained:  # free forms cannot be followed in columns
+    if task.model.in_columns:  # free forms cannot be followed in columns
         return None
+    if found.explained:
+        much = left > _MUCH and after.excess > _SURELY * np.sqrt(2 * after.expected)
+        if not much:
+            return None
+        tell("looking for the component", 0.92)
+        return locate(task, plain, found.data.scales, found.lack.excess)
     if found.explained is not None:
         tell("looking for the component", 0.92)
         return locate(task, plain, found.data.scales, found.lack.excess, found.curves)

@@ -19,6 +19,7 @@ from difffric.diagnosis.background.friction_estimate import estimate_friction
 from difffric.diagnosis.background.joint_search import ARRIVED, MOST_EXCESS
 from difffric.diagnosis.background.naming import (
     BACKGROUND,
+    USUAL_SHARE,
     choose_by_fits,
     compare_rivals,
     fit_causes,
@@ -184,8 +185,7 @@ class _CauseSearch(CauseRounds):
         else:
             self.add_one_by_one()
         certificates = find_unreachable(self.start.data.measured, self.setup.rig)
-        if certificates and not self.named:
-            # The plain model is wrong for certain: what may mend it is in question.
+        if certificates and not self.named:  # what may mend the plain model is in question
             question = tuple(c for c in self.considered if c.penalised_drop > 0)
             if question:
                 self.named = [NamedCause(question[0], question, self.plain)]
@@ -275,8 +275,8 @@ class _CauseSearch(CauseRounds):
             self.tell("comparing with free curves", 0.6)
             compared = compare_with_curves(data, found, items)
             # What a curve changes by less than matters is left, and is told as what is left.
-            outside = compared.is_outside and compared.change >= self.matters
-            self.explained, self.curves = not outside, (compared.best,)
+            self.explained = not compared.is_outside or compared.change < self.matters
+            self.curves = (compared.best,)
         poor = found.evidence.excess > MOST_EXCESS or self.explained is False
         if PRESLIDING in wanted and poor and self._add_bristles(len(wanted)):
             return
@@ -293,12 +293,12 @@ class _CauseSearch(CauseRounds):
         if share > BACKGROUND:
             assumed, self.whole = fit_beside_background(data, found, items)
             if found.evidence.excess < ARRIVED:  # else no linear average is to be trusted
-                averaged = estimate_friction(found.evidence, items)
+                averaged = estimate_friction(found.evidence, items, USUAL_SHARE)
                 self.friction = averaged if np.isfinite(averaged).all() else None
             self.start = replace(self.start, data=replace(data, task=assumed))
             self.validation = CrossValidation(assumed, self.validation.folds)
-        for item, p_value in zip(items, p_values, strict=True):
-            self._add_cause(found, items, item, p_value)
+        for both in zip(items, p_values, strict=True):
+            self._add_cause(found, items, *both)
         self.total = max(self.lack.excess, *(one.best.drop for one in self.named), 1.0)
 
     def _add_cause(
@@ -344,7 +344,8 @@ class _CauseSearch(CauseRounds):
 
     def _find_unseen(self) -> float:
         """Return by how much a small effect that is one with mu_s changes it, relatively."""
-        return self.share * UNIT_CHANGE if _LIKE_FRICTION in self.start.data.impossible else 0.0
+        share = max(self.share, USUAL_SHARE) if self.share > BACKGROUND else self.share
+        return share * UNIT_CHANGE if _LIKE_FRICTION in self.start.data.impossible else 0.0
 
     def _list_causes(self) -> list[NamedCause]:
         """List what was added and matters."""

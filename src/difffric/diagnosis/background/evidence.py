@@ -112,11 +112,14 @@ class Evidence:
         self._columns = collect_rows(task, at, small, shapes) if known is None else known
         self.rows, self.push = self._columns
         self.unit, self.typical = small.unit, small.typical
+        self.usual = small.unit if small.usual is None else small.usual
+        """the sizes at which effects change F_p or d by as much as matters"""
         if shapes is not None:
             parts = [self.rows[..., :-1], shapes.rows, self.rows[..., -1:]]
             self.rows = np.concatenate(parts, axis=2)
             self.unit = np.concatenate([small.unit, shapes.unit])
             self.typical = np.concatenate([small.typical, shapes.typical])
+            self.usual = np.concatenate([self.usual, shapes.unit])
         self.gram = np.swapaxes(self.rows, 1, 2) @ self.rows
         self.own = np.einsum("nr,nrp->np", self.push, self.rows)
         self.z = (self.push**2).sum(axis=1)
@@ -309,7 +312,7 @@ class Evidence:
     ) -> list[float]:
         """The logarithm of the probability, for each item of a set, that noise makes it so large;
         with a `least_share`, that noise and a background do that scatters as the evidence says, and
-        by that share of its units at least."""
+        by that share of what matters at least."""
         found = self.compare([[c for item in items for c in item.columns]])
         out, start = [], 0
         for item in items:
@@ -317,7 +320,7 @@ class Evidence:
             start += len(item.columns)
             V = found.covariance[:, 0, mine, mine]
             if least_share is not None:
-                least = (least_share * self.unit[list(item.columns)]) ** 2
+                least = (least_share * self.usual[list(item.columns)]) ** 2
                 variance = np.maximum(found.background[:, 0, mine], least)
                 V = V + variance[:, :, None] * np.eye(len(item.columns))
             size = found.size[:, 0, mine]

@@ -41,6 +41,8 @@ _ODDS = float(np.log(20.0))
 _STEP = 1e-5
 """Coefficient by which the columns of curves are measured: at 2e-3 some were half of what they are
 by derivatives, good sensors see so much; at 1e-5 they are within some hundredths."""
+_LITTLE = 0.25
+"""Share of what causes explain by themselves that they add to a curve where it stands for them."""
 _MANY, _HALF = 3, 0.5
 """From how many causes on one may doubt that they are any, and the share of what they explain."""
 
@@ -67,7 +69,7 @@ class CurveComparison:
 
     @property
     def is_outside(self) -> bool:
-        """Whether a curve explains the data better than the causes, which add nothing to it, and
+        """Whether a curve explains the data better than the causes, which add little to it, and
         than nothing at all, by odds that leave no doubt: a smooth cause is a smooth curve, too.
 
         Of many causes it is enough that a curve explains half of what they do, and is needed beside
@@ -77,7 +79,8 @@ class CurveComparison:
         imitated = self.count >= _MANY and alone > _HALF * self.causes
         if imitated and beside > self.causes + _ODDS:
             return True
-        return alone > max(self.causes, beside, 0.0) + _ODDS
+        added = max(beside - alone, 0.0)
+        return alone > max(self.causes, 0.0) + _ODDS and added <= _LITTLE * self.causes
 
 
 def compare_with_curves(

@@ -23,11 +23,11 @@ _NO_SPREAD = 1e-9
 
 
 def estimate_friction(
-    evidence: Evidence, items: Sequence[PossibleCause]
+    evidence: Evidence, items: Sequence[PossibleCause], least_share: float = 0.0
 ) -> tuple[NDArray, NDArray]:
     """Return the log mu_s (n,) of each push, with drift and rest before it, and the standard errors
-    (n,) of these, where the `items` are causes and all else is background; NaN where the average is
-    no friction.
+    (n,) of these, where the `items` are causes and all else is background, which scatters by the
+    `least_share` of its units at least; NaN where the average is no friction.
 
     What static friction grows by in a rest is in it where that is a cause: where it is not seen,
     F_p and d tell of the friction that slides.
@@ -35,6 +35,7 @@ def estimate_friction(
     means, variances, weights = [], [], []
     for scatter, share, weight in evidence.weigh_states(items):
         if weight > _LEAST:
+            share = max(share, least_share)
             mean, variance = _estimate_at(evidence, items, scatter, share)
             means.append(mean)
             variances.append(variance)

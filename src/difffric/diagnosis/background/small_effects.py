@@ -54,6 +54,9 @@ class SmallEffects:
     """(K,) all coordinates where nothing moves them"""
     start: NDArray
     """(K,) the same with those a little beside their nulls that have no derivative there"""
+    usual: NDArray | None = None
+    """(p,) the steps at which each changes F_p or d by as much as matters, however large they are;
+    None: the units"""
 
     def assume(
         self, task: EnsembleTask, share: float, causes: Collection[int] = ()
@@ -117,8 +120,8 @@ def measure_units(task: EnsembleTask, at: Fits, small: SmallEffects) -> SmallEff
         points[np.arange(len(index)), index] += step
         slopes.append(np.abs(observe_points(task, at, points)) / step[:, None, None])
     change = measure_change(np.fmin(*slopes))
-    unit = np.minimum(_LARGEST * small.typical, UNIT_CHANGE / np.maximum(change, 1e-12))
-    return replace(small, unit=unit)
+    usual = UNIT_CHANGE / np.maximum(change, 1e-12)
+    return replace(small, unit=np.minimum(_LARGEST * small.typical, usual), usual=usual)
 
 
 def observe_points(task: EnsembleTask, at: Fits, points: NDArray) -> NDArray:
