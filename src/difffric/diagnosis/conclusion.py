@@ -36,7 +36,7 @@ from difffric.diagnosis.verdict import (
     describe_cause,
 )
 from difffric.estimation import ensemble, ensemble_refits
-from difffric.estimation.ensemble import Fits
+from difffric.estimation.ensemble import EnsembleTask, Fits
 from difffric.estimation.stacked_data import SLIDES
 from difffric.progress import Tell
 from difffric.rig.catalogue import KEYS, RATIO, numbers_of
@@ -180,6 +180,7 @@ def conclude(found: Findings, tell: Tell) -> Diagnosis:
     ambiguous = causes if verdict == AMBIGUOUS else ()
     rig = extend_rig(strip_effects(found.setup)[0].rig, task, extended)
     friction, errors = _infer_friction(found, whole)
+    errors = np.hypot(errors, _measure_ambiguity(task, causes))
     before = find_friction(task, plain)
     return Diagnosis(
         verdict=verdict,
@@ -242,6 +243,20 @@ def _tell_remaining(
     if arrived or p_value is None:
         return None
     return Remaining(nrmse, p_value, describe_remaining(misfit))
+
+
+def _measure_ambiguity(task: EnsembleTask, causes: Iterable[NamedCause]) -> np.ndarray:
+    """Return by how much the log mu_s (n,) would differ if an effect were there that explains as
+    much as the cause that is told."""
+    apart = np.zeros(task.n)
+    for one in causes:
+        for other in one.others:
+            if other.effect in one.alike:
+                both = (
+                    find_friction(task, x.fits, x.effect == DWELL_EFFECT) for x in (other, one.best)
+                )
+                apart = np.maximum(apart, np.abs(np.subtract(*both)))
+    return apart
 
 
 def _judge(

@@ -276,7 +276,7 @@ class Evidence:
         weight = self.likeliest_scatter**2
         return weight / (1 + weight * self.z / self.excess) / self.excess
 
-    def project_known(self, products: NDArray) -> tuple[NDArray, NDArray]:
+    def remove_known(self, products: NDArray) -> tuple[NDArray, NDArray]:
         """Of further columns, whose products (m, p + 1) with those that are compared and with the
         residuals are given, what they have to do with the residuals (m,), and (m, p) what the
         others explain of them: with a background of unit size, the placed shapes of any."""

@@ -21,6 +21,7 @@ from difffric.diagnosis.background.evidence import (
     PossibleCause,
     sum_logs,
 )
+from difffric.diagnosis.background.naming import BACKGROUND
 from difffric.diagnosis.background.search import BackgroundSearch
 from difffric.diagnosis.background.small_effects import ask_at
 from difffric.diagnosis.data import DiagnosisData
@@ -41,6 +42,8 @@ _ODDS = float(np.log(20.0))
 _STEP = 1e-5
 """Coefficient by which the columns of curves are measured: at 2e-3 some were half of what they are
 by derivatives, good sensors see so much; at 1e-5 they are within some hundredths."""
+_TOO_MANY = 5
+"""Causes that no rig has at once without small effects besides."""
 _LITTLE = 0.25
 """Share of what causes explain by themselves that they add to a curve where it stands for them."""
 _MANY, _HALF = 3, 0.5
@@ -61,6 +64,8 @@ class CurveComparison:
     """how many causes there are"""
     change: float = 0.0
     """share of mu_s that changes F_p or d by as much as the best curve does"""
+    share: float = 0.0
+    """of their units by which all effects that are no causes scatter"""
 
     @property
     def best(self) -> str:
@@ -73,8 +78,11 @@ class CurveComparison:
         than nothing at all, by odds that leave no doubt: a smooth cause is a smooth curve, too.
 
         Of many causes it is enough that a curve explains half of what they do, and is needed beside
-        them: they then imitate what none of them is.
+        them: they then imitate what none of them is. So do as many causes that stand out while all
+        other effects are exactly at their nulls, which no rig's are.
         """
+        if self.count >= _TOO_MANY and self.share <= BACKGROUND:
+            return True
         alone, beside = self.curves[self.best], max(self.both.values(), default=0.0)
         imitated = self.count >= _MANY and alone > _HALF * self.causes
         if imitated and beside > self.causes + _ODDS:
@@ -112,6 +120,7 @@ def compare_with_curves(
             for form, x in zip(FORMS, beside, strict=False)
         },
         change=compare_readings(wide, bent, c)[2],
+        share=evidence.estimate_share(items),
     )
 
 

@@ -90,7 +90,7 @@ def search_background(
         ended.append((freed, _end(search, evidence, sets, first)))
     # Where they go to and fro a linear comparison is no guide: what was fitted counts.
     found = ended[-1][1] if sets[0].effects == freed else _choose_fitted(ended)
-    return _doubt_moved(search, first, found)
+    return _compare_moved(search, first, found)
 
 
 def _end(
@@ -113,7 +113,7 @@ def _end(
     )
 
 
-def _doubt_moved(
+def _compare_moved(
     search: JointSearch, first: BackgroundSearch, found: BackgroundSearch
 ) -> BackgroundSearch:
     """Return the search without those causes that a fit had to move far to make them causes, where

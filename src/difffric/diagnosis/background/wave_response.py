@@ -160,7 +160,7 @@ def _compute_gains(evidence: Evidence, response: WaveResponse, turns: NDArray) -
         straight += np.real(np.einsum("mk,mk->m", w @ (S @ S.conj().T), w.conj()))
         straight -= weights[i] * np.abs(own) ** 2
         crossed += np.einsum("mk,mk->m", w @ (S @ S.T), w) - weights[i] * own**2
-    left, explained = evidence.project_known(np.concatenate([U.real, U.imag]))
+    left, explained = evidence.remove_known(np.concatenate([U.real, U.imag]))
     a, b = 0.5 * (straight + crossed.real), 0.5 * (straight - crossed.real)
     M = np.stack([[a, 0.5 * crossed.imag], [0.5 * crossed.imag, b]]).transpose(2, 0, 1)
     both = explained.reshape(2, len(turns), -1)

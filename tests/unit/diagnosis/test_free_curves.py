@@ -1,0 +1,35 @@
+"""When a curve of no particular form stands for causes of the catalogue."""
+
+import pytest
+
+from difffric.diagnosis.background.free_curves import CurveComparison
+
+
+def compare(causes, alone, both, count=1, share=0.0) -> CurveComparison:
+    """One form against some causes; log probabilities."""
+    return CurveComparison(causes, {"spring": alone}, {"spring": both}, count=count, share=share)
+
+
+@pytest.mark.parametrize(
+    ("causes", "alone", "both"),
+    [(0.0, 2.0, 2.0), (100.0, 100.0, 100.0), (100.0, 60.0, 140.0), (100.0, 110.0, 190.0)],
+)
+def test_causes_stand_where_no_curve_does_without_them(causes, alone, both):
+    assert not compare(causes, alone, both).is_outside
+
+
+@pytest.mark.parametrize(
+    ("causes", "alone", "both"), [(0.0, 50.0, 50.0), (100.0, 110.0, 110.0), (287.0, 450.0, 457.0)]
+)
+def test_a_curve_stands_for_causes_that_add_little_to_it(causes, alone, both):
+    assert compare(causes, alone, both).is_outside
+
+
+def test_many_causes_imitate_what_a_curve_does():
+    assert compare(100.0, 60.0, 140.0, count=3).is_outside
+    assert not compare(100.0, 40.0, 140.0, count=3).is_outside
+
+
+def test_no_rig_has_five_causes_and_nothing_small_besides():
+    assert compare(100.0, 0.0, 100.0, count=5).is_outside
+    assert not compare(100.0, 0.0, 100.0, count=5, share=0.2).is_outside
