@@ -271,17 +271,17 @@ class _CauseSearch(CauseRounds):
         self.scores = run_score_tests(task, self.plain, small)
         self.visible |= {effect: score.visible for effect, score in self.scores.items()}
         self.share = share = found.evidence.estimate_share(items)
+        base = fit_causes(task, self.plain, found, items)
         if items or share > BACKGROUND:
             self.tell("comparing with free curves", 0.6)
-            compared = compare_with_curves(data, found, items)
+            compared = compare_with_curves(data, found, items, self.plain, base)
             # What a curve changes by less than matters is left, and is told as what is left.
             self.explained = not compared.is_outside or compared.change < self.matters
             self.curves = (compared.best,)
         poor = found.evidence.excess > MOST_EXCESS or self.explained is False
         if PRESLIDING in wanted and poor and self._add_bristles(len(wanted)):
             return
-        self.tell("fitting the causes", 0.7)
-        self.base = self.whole = fit_causes(task, self.plain, found, items)
+        self.base = self.whole = base
         if items and self.tell is not silent:
             tell_answer("what stands out, before it is judged", [x.effect for x in items])
         if self.base is not self.plain:

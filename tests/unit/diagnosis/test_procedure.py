@@ -13,7 +13,7 @@ from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.misfit import PHASES
 from difffric.rig.setup import Setup
 from difffric.rig.setup_toml import read_setup
-from tests.hidden import random_case, write
+from tests.hidden import friction_of, random_case, write
 from tests.unit.diagnosis.analysis import Analysis
 
 # One effect at least of each component, sizes at which it is not to be missed.
@@ -92,6 +92,9 @@ def test_inseparable_effects_are_one_set(tmp_path):
     assert one.found.verdict == "ambiguous"
     assert {"tilt", "friction_ratio"} <= one.first
     assert one.found.experiments[0].separates[0] == one.found.causes[0].id
+    # Which of the two it is moves every mu_s, and the errors say so.
+    away = np.abs(np.array(one.found.mu_s) - friction_of(one.case))
+    assert (away < 2 * np.array(one.found.mu_s_standard_error)).all()
     state = one.found.state
     first = one.found.causes[0]
     drop, p_value = first.chi2_drop, first.p_value

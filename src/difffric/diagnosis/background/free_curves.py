@@ -27,6 +27,7 @@ from difffric.diagnosis.background.small_effects import ask_at
 from difffric.diagnosis.data import DiagnosisData
 from difffric.diagnosis.inferred.changes import compare_readings
 from difffric.diagnosis.location import add_free_forms
+from difffric.estimation import ensemble
 from difffric.estimation.ensemble import EnsembleTask, Fits
 from difffric.rig import free_form
 from difffric.rig.free_form import FORMS
@@ -92,9 +93,14 @@ class CurveComparison:
 
 
 def compare_with_curves(
-    data: DiagnosisData, search: BackgroundSearch, items: Sequence[PossibleCause]
+    data: DiagnosisData,
+    search: BackgroundSearch,
+    items: Sequence[PossibleCause],
+    plain: Fits,
+    base: Fits,
 ) -> CurveComparison:
-    """Compare the causes `items` with curves in place of them and beside them."""
+    """Compare the causes `items` with curves in place of them and beside them; `plain` and `base`
+    are the fits without and with them, and without a background (ensembles of one)."""
     task, joint, evidence = data.task, search.joint, search.evidence
     wide = add_free_forms(task, data.scales)
     K = len(task.model.coordinates.names)
@@ -106,7 +112,11 @@ def compare_with_curves(
     price = float(np.log(len(FORMS))) + _SELDOM
     alone = list(_weigh_curves(evidence, (), curves, priors))
     beside = list(_weigh_curves(evidence, items, curves, priors)) if items else []
-    causes = score_set(evidence, items)
+    causes, share = score_set(evidence, items), evidence.estimate_share(items)
+    if share <= BACKGROUND:
+        # To take a shape out again is anything but linear: no set explains more than was seen.
+        value = ensemble.criterion(task, ensemble.join(plain, base))
+        causes = min(causes, 0.5 * float(value[0] - value[1]))
     without = sum_logs([x for _, x in evidence.list_states(items)]) - evidence.nothing
     best = int(np.argmax([x.gain for x in alone]))
     bent = c.copy()
@@ -120,7 +130,7 @@ def compare_with_curves(
             for form, x in zip(FORMS, beside, strict=False)
         },
         change=compare_readings(wide, bent, c)[2],
-        share=evidence.estimate_share(items),
+        share=share,
     )
 
 
