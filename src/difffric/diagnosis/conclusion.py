@@ -51,6 +51,10 @@ to 1."""
 _MUCH, _SURELY = 0.5, 6.0
 """The same where no curve explains it better than the causes, and standard deviations by which what
 is left is more than noise."""
+TOO_MANY = 5
+"""Causes that no rig has at once without small effects besides."""
+_HALF = 0.5
+"""Share of what causes explain that a curve in their place has to."""
 _DOUBTED = 0.1
 """The same from which a lone cause is held against components that may bend freely."""
 _FAR_MORE = 3.0
@@ -304,14 +308,18 @@ def _locate_unexplained(
             return None
         tell("looking for the component", 0.92)
         return locate(task, plain, found.data.scales, found.lack.excess)
+    drop = float(ensemble.criterion(task, plain)[0] - ensemble.criterion(task, whole)[0])
     if found.explained is not None:
         tell("looking for the component", 0.92)
-        return locate(task, plain, found.data.scales, found.lack.excess, found.curves)
+        location = locate(task, plain, found.data.scales, found.lack.excess, found.curves)
+        # What a curve explains was predicted from where the causes are. Beside a background it has
+        # not the whole misfit to explain, and where many causes imitate it no curve need do so.
+        fitted = task.prior is None and len(found.causes) < TOO_MANY
+        return None if fitted and location.penalised_drop < _HALF * drop else location
     if left < _DOUBTED and len(found.causes) < 2 and not nothing:
         return None
     tell("looking for the component", 0.92)
     location = locate(task, plain, found.data.scales, found.lack.excess)
-    drop = float(ensemble.criterion(task, plain)[0] - ensemble.criterion(task, whole)[0])
     numbers = len(whole.extra[0]) - len(plain.extra[0])
     bent = location.penalised_drop > drop - numbers * task.price
     return location if nothing or left > LEFT or bent else None

@@ -24,6 +24,7 @@ from difffric.diagnosis.background.evidence import (
 from difffric.diagnosis.background.naming import BACKGROUND
 from difffric.diagnosis.background.search import BackgroundSearch
 from difffric.diagnosis.background.small_effects import ask_at
+from difffric.diagnosis.conclusion import TOO_MANY
 from difffric.diagnosis.data import DiagnosisData
 from difffric.diagnosis.inferred.changes import compare_readings
 from difffric.diagnosis.location import add_free_forms
@@ -43,8 +44,6 @@ _ODDS = float(np.log(20.0))
 _STEP = 1e-5
 """Coefficient by which the columns of curves are measured: at 2e-3 some were half of what they are
 by derivatives, good sensors see so much; at 1e-5 they are within some hundredths."""
-_TOO_MANY = 5
-"""Causes that no rig has at once without small effects besides."""
 _LITTLE = 0.25
 """Share of what causes explain by themselves that they add to a curve where it stands for them."""
 _MANY, _HALF = 3, 0.5
@@ -82,7 +81,7 @@ class CurveComparison:
         them: they then imitate what none of them is. So do as many causes that stand out while all
         other effects are exactly at their nulls, which no rig's are.
         """
-        if self.count >= _TOO_MANY and self.share <= BACKGROUND:
+        if self.count >= TOO_MANY and self.share <= BACKGROUND:
             return True
         alone, beside = self.curves[self.best], max(self.both.values(), default=0.0)
         imitated = self.count >= _MANY and alone > _HALF * self.causes

@@ -59,6 +59,9 @@ _LEADERS = 2
 """Those of them that are fitted to the end."""
 _ROUNDS = 8
 """Steps at most of the best of them, and of a fit with a set of causes freed."""
+_NEARER, _NEXT_TO_NOTHING = (0.1, 0.5), 10.0
+"""Shares of their units by which small effects are then assumed to scatter, and how much chi-square
+may grow by that."""
 _LEAST_SHARE = 0.1
 """The share of their units by which the background is assumed to scatter at least, while a set of
 causes is fitted."""
@@ -99,6 +102,25 @@ class JointSearch:
                 break
             evidence = self.weigh()
         return evidence
+
+    def draw_near(self) -> bool:
+        """Bring the small effects as near to their nulls as costs the fit next to nothing; whether
+        there is such a fit.
+
+        What the data do not tell may stand anywhere, a dwell at a hundred times its unit; from
+        there no linear answer leads back to the null.
+        """
+        before = measure_left(self.data.task, self.joint)
+        for share in _NEARER:
+            task = self.small.assume(self.data.task, share)
+            fits = ensemble_refits.refit(
+                task, replace(self.joint, damping=None), _ROUNDS, tol=ROUGHLY
+            )
+            more = measure_left(self.data.task, fits) - before
+            if more * self.data.task.counts.sum() < _NEXT_TO_NOTHING:
+                self.joint = fits
+                return True
+        return False
 
     def _compare_shapes(self, at: Fits, shapes: Sequence[Shape]) -> Evidence:
         """Make the comparison of small effects and these shapes."""

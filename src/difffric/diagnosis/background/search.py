@@ -72,6 +72,8 @@ def search_background(
     joint, cutting = fit_jointly(data, small, plain, guess, effects)
     search = JointSearch(data, effects, background, small, plain, joint, cutting)
     evidence = search.arrive()
+    if search.draw_near():
+        evidence = search.weigh()
     # The plain fit may be far from here, and what is small there need not be so here.
     if not is_near(data.task, plain, search.joint):
         search.small = measure_units(data.task, search.joint, small)
