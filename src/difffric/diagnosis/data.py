@@ -250,7 +250,7 @@ def _estimate_scales(
     if reduction is not None:
         released = np.array([one.release_time for one in reduction.details])
         gone = np.minimum(measured.velocity * released, strokes)
-        tips = np.where(np.isfinite(released), gone, tips)
+        tips = np.where(gone > 0, gone, tips)  # none: it rests against the tip
     return Scales(
         mass=float(mass.mean()),
         mu_s=mu,

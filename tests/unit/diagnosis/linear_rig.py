@@ -29,12 +29,14 @@ class LinearModel:
 
     @property
     def coordinates(self):
-        """Without bounds."""
+        """Without bounds, all in their own units."""
         names = ("mu_s", *self.names)
         return SimpleNamespace(
             names=names,
             indices=lambda some: [names.index(x) for x in some],
             bounds=lambda name: (-np.inf, np.inf),
+            unit=np.ones(len(names)),
+            null=np.zeros(len(names)),
         )
 
     def answers(self, index, c, directions, keep_rows=False):

@@ -19,7 +19,8 @@ def test_causes_stand_where_no_curve_does_without_them(causes, alone, both):
 
 
 @pytest.mark.parametrize(
-    ("causes", "alone", "both"), [(0.0, 50.0, 50.0), (100.0, 110.0, 110.0), (287.0, 450.0, 457.0)]
+    ("causes", "alone", "both"),
+    [(0.0, 50.0, 50.0), (-5.0, 50.0, 45.0), (100.0, 110.0, 110.0), (287.0, 450.0, 457.0)],
 )
 def test_a_curve_stands_for_causes_that_add_little_to_it(causes, alone, both):
     assert compare(causes, alone, both).is_outside

@@ -3,8 +3,6 @@ happens at each place of their ways, it is exact but for the window."""
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -31,18 +29,6 @@ class WavyRig(LinearModel):
     """(n, P) [m]"""
     weights: np.ndarray
     """(n, 2, P) of the places"""
-
-    @property
-    def coordinates(self):
-        """All in their own units."""
-        names = ("mu_s", *self.names)
-        return SimpleNamespace(
-            names=names,
-            indices=lambda some: [names.index(x) for x in some],
-            bounds=lambda name: (-np.inf, np.inf),
-            unit=np.ones(len(names)),
-            null=np.zeros(len(names)),
-        )
 
     def compute_waves(self, index, turns):
         """What a sine and a cosine of amplitude 1 change (2, N, 2)."""

@@ -87,8 +87,8 @@ class CurveComparison:
         imitated = self.count >= _MANY and alone > _HALF * self.causes
         if imitated and beside > self.causes + _ODDS:
             return True
-        added = max(beside - alone, 0.0)
-        return alone > max(self.causes, 0.0) + _ODDS and added <= _LITTLE * self.causes
+        causes, added = max(self.causes, 0.0), max(beside - alone, 0.0)
+        return alone > causes + _ODDS and added <= _LITTLE * causes
 
 
 def compare_with_curves(

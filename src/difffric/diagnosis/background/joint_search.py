@@ -12,15 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from difffric.diagnosis.background.cause_sets import (
-    compute_price,
-)
+from difffric.diagnosis.background.cause_sets import compute_price
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
-from difffric.diagnosis.background.joint_fit import (
-    ROUGHLY,
-    WIDE,
-    measure_left,
-)
+from difffric.diagnosis.background.joint_fit import ROUGHLY, WIDE, measure_left
 from difffric.diagnosis.background.placement import place_shapes, predict_start, put_small
 from difffric.diagnosis.background.shape_columns import (
     Shape,
@@ -31,9 +25,7 @@ from difffric.diagnosis.background.shape_columns import (
 from difffric.diagnosis.background.shape_grid import ShapeGrid, leave_out
 from difffric.diagnosis.background.shape_pursuit import choose_best_shapes, pursue_shapes
 from difffric.diagnosis.background.size_scan import CUTTING, place_cutting_effects
-from difffric.diagnosis.background.small_effects import (
-    SmallEffects,
-)
+from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.diagnosis.data import DiagnosisData, choose_subset
 from difffric.diagnosis.score_test import SIGNIFICANT, count_looks
 from difffric.estimation import ensemble, ensemble_refits
@@ -141,17 +133,12 @@ class JointSearch:
         bases = (self.joint, self._forget_small())
         starts = [place_shapes(task, at, one.items, one.sizes) for at in bases for one in first]
         starts += [predict_start(evidence, one.items) for one in first]
-        some = choose_subset(task) if task.model.recordings else None
-        fits = ensemble_refits.refit(task, ensemble.join(*starts), _FIRST_ROUNDS, some)
-        leaders = np.argsort(ensemble.criterion(task, fits))[:_LEADERS]
-        starts = replace(fits.pick(leaders), gram=None, residual=None, damping=None)
-        fits = ensemble_refits.refit(task, starts, _ROUNDS, tol=ROUGHLY)
-        best = int(np.argmin(ensemble.criterion(task, fits)))
-        found, best = fits.pick(best), int(leaders[best]) % len(first)
+        found, which = _fit_best(task, starts)
+        one = first[which % len(first)]
         gain = float(ensemble.criterion(task, self.joint)[0] - ensemble.criterion(task, found)[0])
-        if gain < 2 * first[best].price:
+        if gain < 2 * one.price:
             return False
-        self.joint, self.shaped = found, (*self.shaped, first[best].items[0].effect)
+        self.joint, self.shaped = found, (*self.shaped, one.items[0].effect)
         return True
 
     def place_cuts(self, evidence: Evidence) -> bool:
@@ -187,20 +174,11 @@ class JointSearch:
         task = self.small.assume(self.data.task, WIDE)
         bases = (self.joint, self._forget_small())
         starts = [leave_out(task, at, {effect}) for at in bases for effect in self.shaped]
-        some = choose_subset(task) if task.model.recordings else None
-        fits = ensemble_refits.refit(task, ensemble.join(*starts), _FIRST_ROUNDS, some)
-        leaders = np.argsort(ensemble.criterion(task, fits))[:_LEADERS]
-        starts = replace(fits.pick(leaders), gram=None, residual=None, damping=None)
-        fits = ensemble_refits.refit(task, starts, _ROUNDS, tol=ROUGHLY)
-        best = int(np.argmin(ensemble.criterion(task, fits)))
-        gone = self.shaped[int(leaders[best]) % len(self.shaped)]
-        before, after = (
-            float(ensemble.criterion(task, x)[0]) for x in (self.joint, fits.pick(best))
-        )
-        if after > before:
+        found, which = _fit_best(task, starts)
+        if ensemble.criterion(task, found)[0] > ensemble.criterion(task, self.joint)[0]:
             return False
-        self.joint = fits.pick(best)
-        self.shaped = tuple(effect for effect in self.shaped if effect != gone)
+        gone = self.shaped[which % len(self.shaped)]
+        self.joint, self.shaped = found, tuple(x for x in self.shaped if x != gone)
         return True
 
     def move_shape(self, evidence: Evidence) -> bool:
@@ -296,6 +274,18 @@ class JointSearch:
         best = int(np.argmin(ensemble.criterion(task, fits)))
         self.joint = ensemble_refits.refit(task, fits.pick(best), _ROUNDS)
         self.shaped = (*self.shaped, *new)
+
+
+def _fit_best(task: EnsembleTask, starts: Sequence[Fits]) -> tuple[Fits, int]:
+    """Return the best fit to which the `starts` lead, and the number of its start: a few steps from
+    each with some of the pushes, then those that lead with all."""
+    some = choose_subset(task) if task.model.recordings else None
+    fits = ensemble_refits.refit(task, ensemble.join(*starts), _FIRST_ROUNDS, some)
+    leaders = np.argsort(ensemble.criterion(task, fits))[:_LEADERS]
+    ahead = replace(fits.pick(leaders), gram=None, residual=None, damping=None)
+    fits = ensemble_refits.refit(task, ahead, _ROUNDS, tol=ROUGHLY)
+    best = int(np.argmin(ensemble.criterion(task, fits)))
+    return fits.pick(best), int(leaders[best])
 
 
 def free_causes(

@@ -12,15 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from difffric.diagnosis.background.cause_sets import (
-    CauseSet,
-    find_set,
-    search_sets,
-)
+from difffric.diagnosis.background.cause_sets import CauseSet, find_set, search_sets
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
-from difffric.diagnosis.background.joint_fit import (
-    fit_jointly,
-)
+from difffric.diagnosis.background.joint_fit import fit_jointly
 from difffric.diagnosis.background.joint_search import JointSearch, free_causes
 from difffric.diagnosis.background.shape_grid import is_near
 from difffric.diagnosis.background.small_effects import (
@@ -72,11 +66,12 @@ def search_background(
     joint, cutting = fit_jointly(data, small, plain, guess, effects)
     search = JointSearch(data, effects, background, small, plain, joint, cutting)
     evidence = search.arrive()
-    if search.draw_near():
-        evidence = search.weigh()
+    drawn = search.draw_near()
     # The plain fit may be far from here, and what is small there need not be so here.
-    if not is_near(data.task, plain, search.joint):
+    far = not is_near(data.task, plain, search.joint)
+    if far:
         search.small = measure_units(data.task, search.joint, small)
+    if drawn or far:
         evidence = search.weigh()
     sets = search_sets(evidence, evidence.items)
     first = _end(search, evidence, sets, None)

@@ -1,0 +1,103 @@
+"""How the joint fit is searched, where all answers are linear: what the data do not tell goes to
+its null, and a cause that was moved far stands only where it is the more probable."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from difffric.diagnosis.background import search as background_search
+from difffric.diagnosis.background.cause_sets import find_set
+from difffric.diagnosis.background.joint_fit import WIDE, measure_left
+from difffric.diagnosis.background.joint_search import JointSearch
+from difffric.diagnosis.background.small_effects import SmallEffects
+from difffric.estimation import ensemble, ensemble_refits
+from tests.unit.diagnosis.linear_rig import make_task, start
+
+N, EFFECTS = 12, ("tilt", "force_gain", "static_dwell")
+TILT, GAIN, DWELL = 2, 3, 4
+
+
+def make_joint(
+    seed: int, tilt: float, gain: float, unseen: float, told: float = 30.0
+) -> JointSearch:
+    """The joint fit of a rig with a tilt and a gain, and a dwell that no number shows and that
+    stands somewhere; `told` is how much a tilt of 1 changes, in units of the noise."""
+    rng = np.random.default_rng(seed)
+    slopes = 30 * rng.normal(size=(N, 2, 5))
+    slopes[:, :, DWELL] = 0.0
+    slopes[:, :, TILT] *= told / 30
+    measured = tilt * slopes[:, :, TILT] + gain * slopes[:, :, GAIN]
+    measured = measured + 0.5 * rng.normal(size=(N, 2))
+    names = ("k", *(f"{effect}.x" for effect in EFFECTS))
+    task = make_task(slopes, measured, names, shared=(1,))
+    ones = np.ones(3)
+    small = SmallEffects(EFFECTS, (TILT, GAIN, DWELL), 0.1 * ones, ones, np.zeros(5), np.zeros(5))
+    plain = ensemble_refits.refit(task, start(task, 0.3), 10)
+    at = small.free(plain)
+    c = at.c.copy()
+    c[0, DWELL] = unseen
+    data: Any = SimpleNamespace(task=task)
+    joint = ensemble_refits.refit(small.assume(task, WIDE), replace(at, c=c), 10)
+    c = joint.c.copy()
+    c[0, DWELL] = unseen  # wherever it is, nothing tells
+    joint = ensemble.evaluate(small.assume(task, WIDE), replace(joint, c=c, gram=None))
+    return JointSearch(data, (), False, small, plain, joint)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_the_data_do_not_tell_is_brought_to_its_null(seed):
+    search = make_joint(seed, tilt=0.005, gain=0.0, unseen=4.0)
+    before = measure_left(search.data.task, search.joint)
+    assert search.draw_near()
+    assert abs(search.joint.c[0, DWELL]) < 1e-3
+    assert measure_left(search.data.task, search.joint) * 2 * N < before * 2 * N + 10
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_the_data_tell_stays_where_it_is(seed):
+    search = make_joint(seed, tilt=1.5, gain=0.0, unseen=4.0)
+    search.draw_near()
+    assert search.joint.c[0, TILT] == pytest.approx(1.5, abs=0.05)
+    # What they tell less surely would cost the fit too much.
+    search = make_joint(seed, tilt=1.5, gain=0.0, unseen=4.0, told=3.0)
+    before = search.joint
+    assert not search.draw_near() and search.joint is before
+
+
+def end_with(search: JointSearch, effect: str, c: dict[int, float]):
+    """The search as it would be where a fit had moved coordinates to `c` and named an effect."""
+    at = search.joint.c.copy()
+    at[0, list(c)] = list(c.values())
+    joint = replace(search.joint, c=at, gram=None)
+    joint = ensemble.evaluate(search.small.assume(search.data.task, WIDE), joint)
+    moved = replace(search, joint=joint)
+    evidence = moved.weigh()
+    one = find_set(evidence, {effect})
+    assert one is not None
+    return background_search._end(moved, evidence, [one], None)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_cause_that_was_moved_far_gives_way_to_what_is_more_probable(seed):
+    search = make_joint(seed, tilt=0.0, gain=1.5, unseen=0.0)
+    evidence = search.weigh()
+    first = background_search._end(search, evidence, [find_set(evidence, ())], None)  # type: ignore
+    wrong = end_with(search, "tilt", {TILT: 2.0, GAIN: 0.0})
+    found = background_search._compare_moved(search, first, wrong)
+    assert found.best.effects == {"force_gain"}
+    assert found.joint.c[0, GAIN] == pytest.approx(1.5, abs=0.05)
+    assert abs(found.joint.c[0, TILT]) < 0.05
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_cause_that_is_right_stands_however_far_it_was_moved(seed):
+    search = make_joint(seed, tilt=1.5, gain=0.0, unseen=0.0)
+    right = end_with(search, "tilt", {})
+    before = end_with(search, "tilt", {TILT: 0.0})
+    assert background_search._compare_moved(search, before, right) is right
+    assert background_search._compare_moved(search, right, right) is right
