@@ -11,10 +11,11 @@ makes the figures.
 
 from __future__ import annotations
 
+import signal
 import tempfile
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -42,6 +43,9 @@ IN_TABLES = tuple(e for e in EFFECTS if e not in TIMING)
 """those that F_p and d show"""
 _NINETY_FIVE = 1.96
 """Standard errors of a 95 % interval."""
+LONGEST_MAKING = 60.0
+"""Seconds after which a case is given up that is being made: scaling some rigs with bristles, or
+that chatter, takes ten minutes."""
 HEAVIER = (1.0, 1.3)
 """Relative masses where a normal force is looked for."""
 
@@ -145,8 +149,9 @@ def run_case(group: str, i: int, keep: Path | None = None) -> dict:
 
     line: dict = {"group": group, "case": i}
     try:
-        case = GROUPS[group].make(i, 100_000 * GROUPS[group].seed + i)
-    except ValueError as error:
+        with limit_time(LONGEST_MAKING):
+            case = GROUPS[group].make(i, 100_000 * GROUPS[group].seed + i)
+    except (ValueError, TimeoutError) as error:
         return {**line, "skipped": str(error)}
     line |= {"kind": case.kind, "effects": dict(case.effects), "outsider": dict(case.outsider)}
     line["another_form"] = case.s_curve or _exponent(case) != 2.0
@@ -168,6 +173,21 @@ def run_case(group: str, i: int, keep: Path | None = None) -> dict:
     away = np.abs(np.array(told.pop("mu_s")) - _find_friction(case))
     within = float(np.mean(away <= _NINETY_FIVE * np.array(told.pop("mu_s_standard_error"))))
     return {**line, **told, "mu_s_within": within, "true_model": true_model(found, case)}
+
+
+@contextmanager
+def limit_time(seconds: float) -> Iterator[None]:
+    """Raise `TimeoutError` where what is within takes longer."""
+
+    def stop(*_: object) -> None:
+        raise TimeoutError(f"takes longer than {seconds:g} s")
+
+    signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
 
 
 def _find_friction(case: cases.Case) -> np.ndarray:

@@ -52,7 +52,6 @@ from difffric.diagnosis.start import (
 from difffric.diagnosis.verdict import Diagnosis
 from difffric.errors import InputError, NumericalError
 from difffric.estimation import ensemble, ensemble_refits
-from difffric.estimation.effect_coordinates import PLAIN
 from difffric.estimation.ensemble import Fits
 from difffric.estimation.extended_model import PRESLIDING
 from difffric.known_so_far import tell_answer
@@ -67,6 +66,9 @@ PUSH, SPEED = "push", "speed"
 MATTERS = 0.005
 """Share of mu_s by which a cause must change what is inferred to be one: a third of the scatter
 of a good rig from push to push."""
+_SURELY = 3.0
+"""Times what matters by which an effect that is no larger than in any rig must change F_p or d to
+be a cause: where pushes are on an edge a little does so."""
 _FEWEST = 3
 """Pushes from which on one can be held out."""
 _ROUNDS = 40
@@ -225,8 +227,7 @@ class _CauseSearch(CauseRounds):
             self.tell(what, 0.25 + 0.1 * share)
 
         found = explain_table(self.setup, data.measured, self.validation.folds, tell)
-        effects = [part for part in found.best.parts if part not in PLAIN]
-        missing = [effect for effect in effects if effect in self._list_wanted()]
+        missing = [part for part in found.best.parts if part in self._list_wanted()]
         index = task.model.coordinates.indices([n for e in missing for n in numbers_of(e)])
         at = replace(
             self.base,
@@ -352,12 +353,11 @@ class _CauseSearch(CauseRounds):
         return [one for one in self.named if self._does_matter(one, self.whole or self.base)]
 
     def _does_matter(self, one: NamedCause, at: Fits) -> bool:
-        """Whether an effect of the fit `at` changes as much as matters, and more than every rig
-        has of it."""
-        if one.best.effect in self.usual:
-            return False
+        """Whether an effect of the fit `at` changes as much as matters, and is unusual."""
         task = self.start.data.task
         changes = measure_changes(task, one.without, at, one.best.effect)
+        if one.best.effect in self.usual:  # mu_s differs by what others do in its place
+            return max(changes.peak_force, changes.sliding_distance) >= _SURELY * self.matters
         return changes.as_mu_s >= self.matters
 
     def _list_wanted(self) -> list[str]:

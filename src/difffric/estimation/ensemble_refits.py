@@ -22,6 +22,9 @@ _STALE = 1.0
 _NOTHING = 1e-6
 """Share of a sum of squares, up to a sum of 1, that is not worth a step where steps have begun to
 fail: the model jumps there."""
+_LITTLE, _FAR_ABOVE = 1e-4, 10.0
+"""The share of a sum of squares that is not worth a step, and how many times what noise leaves it
+is there at least."""
 _SETTLING = 2
 """Times that it is brought closer."""
 _FAR = 0.5
@@ -114,17 +117,31 @@ def _settle(task: EnsembleTask, fits: Fits, pushes: NDArray | None) -> Fits:
         found = en.normal_equations(task, fits)
         best = -found.gm / (found.z + 1.0 / fits.scatter[:, None] ** 2)
         away = np.abs(best - fits.own)
-        off = (away * np.sqrt(found.z)).max(axis=1) > _STALE
+        stale = away * np.sqrt(found.z) > _STALE
+        off = stale.any(axis=1)
         off &= np.isfinite(best).all(axis=1) & (away.max(axis=1) < _FAR)
         if not off.any():
             break
         which = np.flatnonzero(off)
         at = fits.pick(which)
-        again = en.evaluate(task, replace(at, own=best[which]), pushes)
+        # Most pushes rest after the first answer: only the others are followed again.
+        some = np.flatnonzero(stale[which].any(axis=0))
+        own = at.own.copy()
+        own[:, some] = best[which][:, some]
+        again = _keep_answers(at, en.evaluate(task, replace(at, own=own), some), some)
         better = en.sum_squares(task, again) < en.sum_squares(task, at)
         if better.any():
             fits = replace_fits(fits, which[better], again.pick(np.flatnonzero(better)))
     return fits
+
+
+def _keep_answers(before: Fits, fits: Fits, pushes: NDArray) -> Fits:
+    """The fits, which have answers for some `pushes`, with those of `before` for all others."""
+    size = max(before.gram.shape[-1], fits.gram.shape[-1])
+    gram, residual = en.widen(before.gram, size).copy(), before.residual.copy()
+    gram[:, pushes] = en.widen(fits.gram[:, pushes], size)
+    residual[:, pushes] = fits.residual[:, pushes]
+    return replace(fits, gram=gram, residual=residual)
 
 
 def _keep_own(fits: Fits, narrow: bool) -> Fits:
@@ -175,11 +192,13 @@ def refit(
 ) -> Fits:
     """The fits after at most `rounds` of Levenberg-Marquardt, on all pushes or on some.
 
-    A fit rests once it has arrived: less than `tol` is left to gain in chi-square.
+    A fit rests once it has arrived: less than `tol` is left to gain in chi-square, or a small share
+    of what it leaves where that is far more than noise: such a fit is on its way to another model.
     """
     if fits.gram is None:
         fits = en.estimate_scatters(task, _settle_own(task, fits, pushes))
     damping = fits.damping if fits.damping is not None else np.full(fits.m, 1e-3)
+    counted = task.counts.sum() if pushes is None else task.counts[pushes].sum()
     active = np.ones(fits.m, bool)
     for _ in range(rounds):
         which = np.flatnonzero(active)
@@ -196,6 +215,7 @@ def refit(
         damping[which] = np.where(better, np.maximum(damping[which] / 8, 1e-9), damping[which] * 8)
         # Where a step that promises so little fails, shorter ones promise less.
         least = np.where(better, tol, np.clip(_NOTHING * before, tol, 1.0))
+        least = np.maximum(least, _LITTLE * (before - _FAR_ABOVE * counted))
         done = np.where(better, before - after, promised) < least
         done |= damping[which] > 1e6
         if better.any():

@@ -32,7 +32,7 @@ from difffric.rig import catalogue
 from difffric.rig.rig import Rig
 from difffric.simulation.observables import observe, observe_steps
 from difffric.simulation.stepping.integrator import RungeKutta
-from difffric.simulation.stepping.path import follow_together
+from difffric.simulation.stepping.path import PushPath, follow_together
 from difffric.timings import count_followed
 
 PRESLIDING = "presliding"
@@ -113,7 +113,8 @@ def _answer_recordings(
         f, x = known * f, known * x
         seen = jax.vmap(lambda rig, v, m: observe_steps(integrator.build_loop(rig, v, True), m))
         seen = seen(rigs, v, paths.end)
-        model = jnp.stack([seen.peak_force, seen.sliding_distance], axis=1)
+        peak = jax.vmap(PushPath.find_read_peak)(paths, force.t, f, seen.peak_force)
+        model = jnp.stack([peak, seen.sliding_distance], axis=1)
         means = jax.vmap(_average)
         return (means(force, f), means(position, x)), model
 

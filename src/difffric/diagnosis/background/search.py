@@ -16,6 +16,7 @@ from difffric.diagnosis.background.cause_sets import CauseSet, find_set, search_
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
 from difffric.diagnosis.background.joint_fit import fit_jointly
 from difffric.diagnosis.background.joint_search import JointSearch, free_causes
+from difffric.diagnosis.background.shape_columns import limit_waves
 from difffric.diagnosis.background.shape_grid import is_near
 from difffric.diagnosis.background.small_effects import (
     SmallEffects,
@@ -63,6 +64,7 @@ def search_background(
     as it was given (both ensembles of one). Without a `background` every effect but the causes is
     exactly at its null."""
     small = choose_small_effects(data.task, plain, effects)
+    small = replace(small, reach=limit_waves(data.task, data.scales))
     joint, cutting = fit_jointly(data, small, plain, guess, effects)
     search = JointSearch(data, effects, background, small, plain, joint, cutting)
     evidence = search.arrive()

@@ -30,6 +30,8 @@ _SHORTEST = 2e-4
 """The shortest wavelength [m] that is looked for."""
 _MOST_WAVES = 60
 """Wavelengths at most."""
+_LEAST_TURN = 0.5
+"""Turns of a wave within the longest way at least: less of one is any smooth curve."""
 _PER_WAY = 2.5
 """Wavelengths that a median way tells apart, for each turn of a wave in it."""
 AMPLITUDE = 2e-4
@@ -169,9 +171,10 @@ def get_ways(effect: str, scales: Scales) -> NDArray:
 def divide_turns(ways: NDArray) -> NDArray:
     """Divide the turns [1/m] of waves into cells, of each of which the best wave is compared: their
     ascending edges, as close as a median way tells them apart."""
-    first, step = 0.5 / np.max(ways), 1.0 / (_PER_WAY * np.median(ways))
+    step = 1.0 / (_PER_WAY * np.median(ways))
+    first = _LEAST_TURN / np.max(ways) + 0.5 * step
     middles = np.arange(first, min(1.0 / _SHORTEST, first + _MOST_WAVES * step), step)
-    return np.append(0.5 * first, middles + 0.5 * step)
+    return np.append(first - 0.5 * step, middles + 0.5 * step)
 
 
 def number_wave(task: EnsembleTask, effect: str) -> tuple[int, int, int]:
@@ -179,6 +182,16 @@ def number_wave(task: EnsembleTask, effect: str) -> tuple[int, int, int]:
     names = (f"{effect}.amplitude", f"{effect}.{WAVES[effect]}", f"{effect}.phase_rad")
     sine, length, cosine = task.model.coordinates.indices(names)
     return sine, length, cosine
+
+
+def limit_waves(task: EnsembleTask, scales: Scales) -> tuple[tuple[int, float], ...]:
+    """The coordinates of the waves' lengths, and how large they may be."""
+    coordinates, found = task.model.coordinates, []
+    for effect in WAVES:
+        _, length, _ = number_wave(task, effect)
+        longest = float(get_ways(effect, scales).max()) / _LEAST_TURN
+        found.append((length, (longest - coordinates.null[length]) / coordinates.unit[length]))
+    return tuple(found)
 
 
 def list_waves(task: EnsembleTask, effect: str, turns: NDArray) -> list[Shape]:

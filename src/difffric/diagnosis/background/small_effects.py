@@ -31,6 +31,8 @@ _FARTHEST, _UNSEEN_FARTHEST = 2.0, 5.0
 F_p nor d, of which nobody knows."""
 _STEPS = 0.1, 0.01
 """Shares of such a size by which an effect is moved to see what it changes."""
+_FAR_STEPS = np.array([0.25, 0.5, 1.0, 2.0, 5.0])
+"""The same of effects that steps of this length hardly show."""
 _LONG_STEP = {"pusher_lag": 0.5}
 """The same of an effect that is not seen where it is shorter than an integrator's step."""
 _MOVED, _STEEP = 1e-3, 5.0
@@ -57,6 +59,8 @@ class SmallEffects:
     usual: NDArray | None = None
     """(p,) the steps at which each changes F_p or d by as much as matters, however large they are;
     None: the units"""
+    reach: tuple[tuple[int, float], ...] = ()
+    """of other coordinates that may not go anywhere how far from zero they may"""
 
     def assume(
         self, task: EnsembleTask, share: float, causes: Collection[int] = ()
@@ -69,6 +73,8 @@ class SmallEffects:
         prior[index] = (share * self.unit[free]) ** -2.0
         unseen = self.unit[free] >= _LARGEST * self.typical[free]
         reach[index] = np.where(unseen, _UNSEEN_FARTHEST, _FARTHEST) * self.typical[free]
+        for i, far in self.reach:
+            reach[i] = far
         return replace(task, prior=prior, prior_about=self.null, reach=reach)
 
     def free(self, fits: Fits) -> Fits:
@@ -121,7 +127,31 @@ def measure_units(task: EnsembleTask, at: Fits, small: SmallEffects) -> SmallEff
         slopes.append(np.abs(observe_points(task, at, points)) / step[:, None, None])
     change = measure_change(np.fmin(*slopes))
     usual = UNIT_CHANGE / np.maximum(change, 1e-12)
+    bent = np.flatnonzero(usual > _LARGEST * small.typical)
+    if len(bent):
+        usual[bent] = np.minimum(usual[bent], _find_sizes_that_matter(task, at, small, bent))
     return replace(small, unit=np.minimum(_LARGEST * small.typical, usual), usual=usual)
+
+
+def _find_sizes_that_matter(
+    task: EnsembleTask, at: Fits, small: SmallEffects, which: NDArray
+) -> NDArray:
+    """Return the sizes (m,) from which on some of the effects, their numbers `which` (m,), change
+    F_p or d by as much as matters, infinite where none does: a low-pass moves the top of a smooth
+    peak by the square of its time."""
+    points = np.repeat(at.c, len(which) * len(_FAR_STEPS), axis=0)
+    steps = np.multiply.outer(small.typical[which], _FAR_STEPS)
+    points[np.arange(len(points)), np.repeat(np.array(small.index)[which], len(_FAR_STEPS))] += (
+        steps.ravel()
+    )
+    change = measure_change(observe_points(task, at, points)).reshape(steps.shape)
+    growing = np.maximum.accumulate(np.maximum(change, 1e-12), axis=1)
+    return np.array(
+        [
+            np.exp(np.interp(np.log(UNIT_CHANGE), np.log(x), np.log(size), right=np.inf))
+            for x, size in zip(growing, steps, strict=True)
+        ]
+    )
 
 
 def observe_points(task: EnsembleTask, at: Fits, points: NDArray) -> NDArray:

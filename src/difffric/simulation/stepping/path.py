@@ -18,6 +18,8 @@ from difffric.simulation.stepping.loop import StepLoop
 from difffric.simulation.stepping.sensor_readout import Filtered, PassedForce
 from difffric.simulation.stepping.state import LoopState
 
+_FINE = 9
+"""Times at which a peak is looked at closely."""
 _FEW = 16
 """Strides that filters are taken through at once: more would be wasted on a short push."""
 
@@ -59,6 +61,23 @@ class PushPath(NamedTuple):
         force = jnp.vectorize(self.filter_force)(t_force)
         at = jnp.vectorize(lambda time: self.evaluate(time)[1])
         return sensor.read(force), probe.read(at(t_position - probe.delay))
+
+    def find_read_peak(
+        self, t: Float[Array, " e"], f: Float[Array, " e"], peak: Float[Array, ""]
+    ) -> Float[Array, ""]:
+        """The highest force [N] that the sensor reads, where it reads f [N] at the ascending times
+        t [s], between three of which it is smooth; `peak` [N] is what it would read without its
+        filters, and does where they let all through."""
+        if self.filtered_strides is None:
+            return peak
+        sensor = self.motion.rig.force_sensor
+        k = jnp.clip(jnp.argmax(f), 1, t.shape[0] - 2)
+        passed = jnp.abs(sensor.read(self.evaluate(t[k])[0]) - f[k]) <= 1e-9 * jnp.abs(f[k])
+        g = sensor.read(jax.vmap(self.filter_force)(jnp.linspace(t[k - 1], t[k + 1], _FINE)))
+        j = jnp.clip(jnp.argmax(g), 1, _FINE - 2)
+        bend = 2 * g[j] - g[j - 1] - g[j + 1]  # a parabola through the highest three
+        top = g[j] + (g[j + 1] - g[j - 1]) ** 2 / (8 * jnp.where(bend > 0, bend, jnp.inf))
+        return jnp.where(passed, peak, jnp.maximum(jnp.max(g), jnp.minimum(top, g[j] + bend)))
 
     def filter_force(self, time: Float[Array, ""]) -> Float[Array, ""]:
         """The force [N] that the sensor's filters let through at a time [s]."""
