@@ -89,7 +89,7 @@ class JointSearch:
                 ways = [self.add_shape, self.place_shapes]
             if measure_left(self.data.task, self.joint) > ARRIVED:
                 ways = [self.place_cuts, self.drop_shape, *ways]
-                ways += [self.move_shape, self.place_shapes_anew]
+                ways += [self.move_shape, self.place_shapes_anew, self.begin_with_one]
             if not any(place(evidence) for place in ways):
                 break
             evidence = self.weigh()
@@ -220,6 +220,35 @@ class JointSearch:
         if found is None:
             return False
         self.joint, self.shaped = found
+        return True
+
+    def begin_with_one(self, evidence: Evidence) -> bool:
+        """Begin anew with that one small effect that explains most by itself: all at once may lead
+        to where no step of any helps; whether that is better."""
+        task = self.data.task
+        bare = self._forget_small()
+        shapes = tuple(i for i in bare.extra[0] if i not in self.small.index)
+        starts = []
+        for i in self.small.index:
+            c = bare.c.copy()
+            others = [k for k in self.small.index if k != i]
+            c[0, others] = self.small.null[others]
+            starts.append(replace(bare, c=c, extra=((*shapes, i),)))
+        fits, _ = _fit_best(task, starts)
+        if ensemble.criterion(task, fits)[0] > ensemble.criterion(task, self.joint)[0]:
+            return False
+        task = self.small.assume(task, WIDE)
+        # Those that have no derivative at their null stay there: beside it a push may jump.
+        every, small = self.small.free(fits), self.small
+        held = [i for i in small.index if small.start[i] != small.null[i]]
+        held = [i for i in held if i not in fits.extra[0]]
+        every.c[0, held] = small.null[held]
+        extra = tuple(i for i in every.extra[0] if i not in held)
+        fits = ensemble_refits.refit(task, replace(every, extra=(extra,)), _ROUNDS, tol=ROUGHLY)
+        gain = ensemble.criterion(task, self.joint)[0] - ensemble.criterion(task, fits)[0]
+        if gain < _NEXT_TO_NOTHING:
+            return False
+        self.joint = fits
         return True
 
     def _place_beside(

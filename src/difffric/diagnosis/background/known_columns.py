@@ -17,6 +17,10 @@ from difffric.diagnosis.background.small_effects import (
 from difffric.estimation.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import numbers_of
 
+_JUMP, _WRONG = 10.0, 0.25
+"""Chi-square of a push from which on so small a step counts, and the share of it that is not
+foretold from which on it is a jump."""
+
 
 def list_known(
     task: EnsembleTask, at: Fits, small: SmallEffects, placed: Sequence[str]
@@ -28,6 +32,46 @@ def list_known(
         *task.model.coordinates.indices([n for e in placed for n in numbers_of(e)]),
     }
     return [*task.shared, *(i for i in at.extra[0] if i not in held)]
+
+
+def _move_to_null(
+    task: EnsembleTask,
+    at: Fits,
+    small: SmallEffects,
+    c: NDArray,
+    there: NDArray,
+    columns: NDArray,
+    away: NDArray,
+) -> NDArray:
+    """Return the residuals (n, R) with those effects at their nulls that were moved off them to
+    have a derivative, all else at coordinates c (n, K), where they are `there`.
+
+    A push on an edge jumps in so small a step, and its derivative says nothing of it: where it
+    does not foretell the jump, the `columns` (n, R, p) of these effects become what the step
+    changes. How far they are `away` (p,) from their nulls becomes none.
+    """
+    off = [k for k, i in enumerate(small.index) if 0 < away[k] <= small.start[i] - small.null[i]]
+    if not off:
+        return there
+    n, index = task.n, np.array(small.index)[off]
+    points = np.tile(c, (1 + len(off), 1, 1))
+    for k, own in enumerate(points):  # first all at their nulls, then one after the other is not
+        at_null = np.delete(index, k - 1) if k else index
+        own[:, at_null] = small.null[at_null]
+    none = np.zeros((0, c.shape[1]))
+    found = task.model.answers(
+        np.tile(np.arange(n), len(points)), points.reshape(-1, c.shape[1]), none
+    )
+    r = found.residual[..., : count_rows(task)] / at.spread[0][:, None]
+    r = r.reshape(len(points), n, -1)
+    r = np.where(np.isfinite(r).all(axis=(0, 2), keepdims=True), r, there)
+    for k, moved in zip(off, r[1:] - r[0], strict=True):
+        foretold = columns[..., k] * away[k]
+        size, wrong = (np.einsum("nr,nr->n", x, x) for x in (foretold, moved - foretold))
+        jumps = (size > _JUMP) & (wrong > _WRONG * size)
+        columns[jumps, :, k] = moved[jumps] / away[k]
+        away[k] = 0.0
+    return r[0]
 
 
 def collect_rows(
@@ -54,9 +98,9 @@ def collect_rows(
     level = np.exp(at.own[0])[:, None]
     own, plain = rows[..., 0] / level, rows[..., 1 : -1 - len(small.index)]
     columns = rows[..., -1 - len(small.index) : -1]
-    left = rows[..., -1] - own * (level - 1)
     away = (beside[0] - small.null)[list(small.index)]
-    left = left - columns @ away
+    there = _move_to_null(task, at, small, c, rows[..., -1], columns, away)
+    left = there - own * (level - 1) - columns @ away
     if shapes is not None:
         for shape, mine in zip(shapes.shapes, shapes.columns, strict=True):
             left = left - shape.placed * shapes.rows[..., mine[0]]
