@@ -43,7 +43,7 @@ IN_TABLES = tuple(e for e in EFFECTS if e not in TIMING)
 """those that F_p and d show"""
 _NINETY_FIVE = 1.96
 """Standard errors of a 95 % interval."""
-LONGEST_MAKING = 60.0
+LONGEST_MAKING = 100.0
 """Seconds after which a case is given up that is being made: scaling some rigs with bristles, or
 that chatter, takes ten minutes."""
 HEAVIER = (1.0, 1.3)
@@ -186,6 +186,8 @@ def limit_time(seconds: float) -> Iterator[None]:
     signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield
+    except SystemError as error:  # a compiled function may not pass on what was raised in it
+        raise TimeoutError(f"takes longer than {seconds:g} s") from error
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
 

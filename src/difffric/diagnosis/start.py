@@ -206,7 +206,7 @@ def fit_plain_model(task: EnsembleTask, start: Fits, guess: Fits) -> Fits:
     level = replace(start, own=np.zeros_like(start.own))
     every = ensemble.join(fits, ensemble_refits.refit(task, ensemble.join(level, guess), _ROUNDS))
     best = np.argmin(ensemble.criterion(task, every))
-    return _rescan_and_refit(task, every.pick(best))
+    return _rescan_and_refit(task, every.pick(best), fine=True)
 
 
 def find_better_base(

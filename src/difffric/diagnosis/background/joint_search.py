@@ -28,6 +28,7 @@ from difffric.diagnosis.background.size_scan import CUTTING, place_cutting_effec
 from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.diagnosis.data import DiagnosisData, choose_subset
 from difffric.diagnosis.score_test import SIGNIFICANT, count_looks
+from difffric.diagnosis.starting_values import list_starting_values
 from difffric.estimation import ensemble, ensemble_refits
 from difffric.estimation.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import numbers_of
@@ -41,6 +42,10 @@ _MOST_SHAPED = 8
 """How often effects with a shape are added, or moved."""
 ARRIVED = 1.1
 """Squares per number from which on a fit that leaves more may have shapes at wrong places."""
+_HARDLY = 1.02
+"""The same from which on something may be left."""
+_HIDDEN, _LARGEST_SIZES = ("static_dwell",), 5
+"""Effects that hide in each push's own mu_s while they are small, and the sizes that are tried."""
 _SMALL = 0.3
 """A shape is small where it would have to grow by this factor at least to have unit size."""
 _AT_ONCE = 3
@@ -87,9 +92,12 @@ class JointSearch:
             ways = [self.place_shapes]
             if evidence.excess > MOST_EXCESS:
                 ways = [self.add_shape, self.place_shapes]
-            if measure_left(self.data.task, self.joint) > ARRIVED:
-                ways = [self.place_cuts, self.drop_shape, *ways]
+            left = measure_left(self.data.task, self.joint)
+            if left > ARRIVED:
+                ways = [self.rescan_own, self.place_cuts, self.drop_shape, *ways]
                 ways += [self.move_shape, self.place_shapes_anew, self.begin_with_one]
+            if left > _HARDLY:
+                ways += [self.enlarge_hidden]
             if not any(place(evidence) for place in ways):
                 break
             evidence = self.weigh()
@@ -113,6 +121,49 @@ class JointSearch:
                 self.joint = fits
                 return True
         return False
+
+    def rescan_own(self, evidence: Evidence) -> bool:
+        """Look for the mu_s of pushes that fit badly on a grid; whether that is better."""
+        task = self.small.assume(self.data.task, WIDE)
+        start = ensemble_refits.rescan_bad_pushes(task, self.joint, fine=True)
+        return start is not self.joint and self._follow_start(task, start)
+
+    def enlarge_hidden(self, evidence: Evidence) -> bool:
+        """Begin anew with sizes at which an effect shows that no small size does, as a push's own
+        mu_s makes up for it; whether that is better."""
+        task = self.small.assume(self.data.task, WIDE)
+        coordinates, starts = task.model.coordinates, []
+        for effect in set(_HIDDEN) & set(self.small.effects):
+            for value in list_starting_values(effect, self.data.scales)[-_LARGEST_SIZES:]:
+                c = self.joint.c.copy()
+                c[0, coordinates.indices(list(value))] = coordinates.point(value)
+                starts.append(self._hold(replace(self.joint, c=c)))
+        if not starts:
+            return False
+        every = ensemble.evaluate(task, ensemble.join(*starts))
+        every = ensemble_refits.rescan_bad_pushes(task, every, fine=True)
+        every = ensemble_refits.refit(task, every, _FIRST_ROUNDS)
+        best = every.pick(int(np.argmin(ensemble.criterion(task, every))))
+        return self._follow_start(task, best)
+
+    def _hold(self, at: Fits, free: Sequence[int] = ()) -> Fits:
+        """Return a fit with the effects that have no derivative at their null there, but for those
+        that are `free`: beside it a push may jump, and every step fails."""
+        small = self.small
+        held = [i for i in small.index if small.start[i] != small.null[i] and i not in free]
+        c = at.c.copy()
+        c[:, held] = small.null[held]
+        extra = tuple(tuple(i for i in own if i not in held) for own in at.extra)
+        return replace(at, c=c, extra=extra, gram=None, residual=None, damping=None)
+
+    def _follow_start(self, task: EnsembleTask, start: Fits) -> bool:
+        """Take the fit to which a start leads for the joint fit if it is better; whether it is."""
+        fits = ensemble_refits.refit(task, start, _ROUNDS, tol=ROUGHLY)
+        gain = ensemble.criterion(task, self.joint)[0] - ensemble.criterion(task, fits)[0]
+        if gain < _NEXT_TO_NOTHING:
+            return False
+        self.joint = fits
+        return True
 
     def _compare_shapes(self, at: Fits, shapes: Sequence[Shape]) -> Evidence:
         """Make the comparison of small effects and these shapes."""
@@ -238,18 +289,7 @@ class JointSearch:
         if ensemble.criterion(task, fits)[0] > ensemble.criterion(task, self.joint)[0]:
             return False
         task = self.small.assume(task, WIDE)
-        # Those that have no derivative at their null stay there: beside it a push may jump.
-        every, small = self.small.free(fits), self.small
-        held = [i for i in small.index if small.start[i] != small.null[i]]
-        held = [i for i in held if i not in fits.extra[0]]
-        every.c[0, held] = small.null[held]
-        extra = tuple(i for i in every.extra[0] if i not in held)
-        fits = ensemble_refits.refit(task, replace(every, extra=(extra,)), _ROUNDS, tol=ROUGHLY)
-        gain = ensemble.criterion(task, self.joint)[0] - ensemble.criterion(task, fits)[0]
-        if gain < _NEXT_TO_NOTHING:
-            return False
-        self.joint = fits
-        return True
+        return self._follow_start(task, self._hold(self.small.free(fits), fits.extra[0]))
 
     def _place_beside(
         self, at: Fits, shaped: tuple[str, ...], evidence: Evidence
