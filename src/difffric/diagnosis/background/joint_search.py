@@ -59,6 +59,8 @@ _ROUNDS = 8
 _NEARER, _NEXT_TO_NOTHING = (0.1, 0.5), 10.0
 """Shares of their units by which small effects are then assumed to scatter, and how much chi-square
 may grow by that."""
+_EACH = 2.0
+"""What each small effect may take from chi-square that is free by chance."""
 _LEAST_SHARE = 0.1
 """The share of their units by which the background is assumed to scatter at least, while a set of
 causes is fitted."""
@@ -76,6 +78,8 @@ class JointSearch:
     joint: Fits
     shaped: tuple[str, ...] = ()
     """effects with a shape that are in the joint fit"""
+    large: frozenset[int] = frozenset()
+    """coordinates of effects that are not held to be small"""
 
     def __post_init__(self) -> None:
         self.grid = ShapeGrid(self.data, self.effects, self.background)
@@ -98,6 +102,7 @@ class JointSearch:
                 ways += [self.move_shape, self.place_shapes_anew, self.begin_with_one]
             if left > _HARDLY:
                 ways += [self.enlarge_hidden]
+            ways += [self.replace_shape]
             if not any(place(evidence) for place in ways):
                 break
             evidence = self.weigh()
@@ -112,7 +117,7 @@ class JointSearch:
         """
         before = measure_left(self.data.task, self.joint)
         for share in _NEARER:
-            task = self.small.assume(self.data.task, share)
+            task = self.small.assume(self.data.task, share, self.large)
             fits = ensemble_refits.refit(
                 task, replace(self.joint, damping=None), _ROUNDS, tol=ROUGHLY
             )
@@ -122,16 +127,20 @@ class JointSearch:
                 return True
         return False
 
+    def _assume_wide(self) -> EnsembleTask:
+        """The task of fits that hardly hold small effects back."""
+        return self.small.assume(self.data.task, WIDE, self.large)
+
     def rescan_own(self, evidence: Evidence) -> bool:
         """Look for the mu_s of pushes that fit badly on a grid; whether that is better."""
-        task = self.small.assume(self.data.task, WIDE)
+        task = self._assume_wide()
         start = ensemble_refits.rescan_bad_pushes(task, self.joint, fine=True)
         return start is not self.joint and self._follow_start(task, start)
 
     def enlarge_hidden(self, evidence: Evidence) -> bool:
         """Begin anew with sizes at which an effect shows that no small size does, as a push's own
         mu_s makes up for it; whether that is better."""
-        task = self.small.assume(self.data.task, WIDE)
+        task = self._assume_wide()
         coordinates, starts = task.model.coordinates, []
         for effect in set(_HIDDEN) & set(self.small.effects):
             for value in list_starting_values(effect, self.data.scales)[-_LARGEST_SIZES:]:
@@ -156,11 +165,14 @@ class JointSearch:
         extra = tuple(tuple(i for i in own if i not in held) for own in at.extra)
         return replace(at, c=c, extra=extra, gram=None, residual=None, damping=None)
 
-    def _follow_start(self, task: EnsembleTask, start: Fits) -> bool:
-        """Take the fit to which a start leads for the joint fit if it is better; whether it is."""
+    def _follow_start(
+        self, task: EnsembleTask, start: Fits, worth: float = _NEXT_TO_NOTHING
+    ) -> bool:
+        """Take the fit to which a start leads if chi-square falls by what it is `worth`; whether
+        it does."""
         fits = ensemble_refits.refit(task, start, _ROUNDS, tol=ROUGHLY)
         gain = ensemble.criterion(task, self.joint)[0] - ensemble.criterion(task, fits)[0]
-        if gain < _NEXT_TO_NOTHING:
+        if gain < worth:
             return False
         self.joint = fits
         return True
@@ -172,7 +184,7 @@ class JointSearch:
 
     def add_shape(self, evidence: Evidence) -> bool:
         """Add the effect with a shape that helps most; whether any does."""
-        task = self.small.assume(self.data.task, WIDE)
+        task = self._assume_wide()
         best = choose_best_shapes(evidence, _OF_EACH)
         best = [one for one in best if not one.effects & set(self.shaped)]
         # The best of each effect before any other: those of a fine grid all seem to explain much.
@@ -195,7 +207,7 @@ class JointSearch:
     def place_cuts(self, evidence: Evidence) -> bool:
         """Place what cuts pushes short, of which no column tells unless its size is nearly right;
         whether it helps."""
-        task = self.small.assume(self.data.task, WIDE)
+        task = self._assume_wide()
         effects = [effect for effect in self.effects if effect not in self.shaped]
         price = float(scipy.stats.chi2.isf(SIGNIFICANT / count_looks(CUTTING[0], len(effects)), 1))
         share = price / float(task.counts.sum())
@@ -222,7 +234,7 @@ class JointSearch:
         whether there is one."""
         if len(self.shaped) < 2:
             return False
-        task = self.small.assume(self.data.task, WIDE)
+        task = self._assume_wide()
         bases = (self.joint, self._forget_small())
         starts = [leave_out(task, at, {effect}) for at in bases for effect in self.shaped]
         found, which = _fit_best(task, starts)
@@ -235,7 +247,7 @@ class JointSearch:
     def move_shape(self, evidence: Evidence) -> bool:
         """Place one of the shapes elsewhere, which stands at a wrong place; whether that is
         better."""
-        task = self.small.assume(self.data.task, WIDE)
+        task = self._assume_wide()
         starts, prices = [], []
         for effect in (x for x in self.shaped if x not in CUTTING):
             there = self.grid.weigh(self.small, *self._take_out([effect]), [effect])
@@ -258,7 +270,7 @@ class JointSearch:
         effects whose shapes are still in it."""
         bare = leave_out(self.data.task, self.joint, effects)
         shaped = tuple(effect for effect in self.shaped if effect not in effects)
-        return ensemble.evaluate(self.small.assume(self.data.task, WIDE), bare), shaped
+        return ensemble.evaluate(self._assume_wide(), bare), shaped
 
     def place_shapes_anew(self, evidence: Evidence) -> bool:
         """Place all small shapes anew, of which one may stand at a wrong place; whether that is
@@ -274,29 +286,49 @@ class JointSearch:
         return True
 
     def begin_with_one(self, evidence: Evidence) -> bool:
-        """Begin anew with that one small effect that explains most by itself: all at once may lead
-        to where no step of any helps; whether that is better."""
-        task = self.data.task
-        bare = self._forget_small()
-        shapes = tuple(i for i in bare.extra[0] if i not in self.small.index)
-        starts = []
-        for i in self.small.index:
-            c = bare.c.copy()
-            others = [k for k in self.small.index if k != i]
+        """Begin anew with that small effect that explains most by itself; all at once may lead to
+        where no step helps. Whether that is better."""
+        return self._begin_with_any(self._forget_small())
+
+    def replace_shape(self, evidence: Evidence) -> bool:
+        """Put the effect that explains most in the place of a shape: a patch from where a push
+        begins imitates a tilt. Whether that is better."""
+        for effect in (x for x in self.shaped if x not in CUTTING):
+            base = leave_out(self.data.task, self._forget_small(), {effect})
+            if self._begin_with_any(base, 0.0):
+                self.shaped = tuple(x for x in self.shaped if x != effect)
+                return True
+        return False
+
+    def _begin_with_any(self, base: Fits, worth: float = _NEXT_TO_NOTHING) -> bool:
+        """Take the fit that begins with one small effect of any size, on top of plain parameters
+        and shapes of `base`, if chi-square falls by what it is `worth`; whether it does."""
+        index, starts = self.small.index, []
+        shapes = tuple(i for i in base.extra[0] if i not in index)
+        for i in index:
+            c = base.c.copy()
+            others = [k for k in index if k != i]
             c[0, others] = self.small.null[others]
-            starts.append(replace(bare, c=c, extra=((*shapes, i),)))
-        fits, _ = _fit_best(task, starts)
-        if ensemble.criterion(task, fits)[0] > ensemble.criterion(task, self.joint)[0]:
+            starts.append(replace(base, c=c, extra=((*shapes, i),)))
+        fits, which = _fit_best(self.data.task, starts)
+        # All others are still to be freed.
+        more = ensemble.criterion(self.data.task, fits)
+        more = more - ensemble.criterion(self._assume_wide(), self.joint)
+        if more[0] > _EACH * len(index):
             return False
-        task = self.small.assume(task, WIDE)
-        return self._follow_start(task, self._hold(self.small.free(fits), fits.extra[0]))
+        before, self.large = self.large, self.large | {index[which]}
+        start = self._hold(self.small.free(fits), fits.extra[0])
+        if self._follow_start(self._assume_wide(), start, worth):
+            return True
+        self.large = before
+        return False
 
     def _place_beside(
         self, at: Fits, shaped: tuple[str, ...], evidence: Evidence
     ) -> tuple[Fits, tuple[str, ...]] | None:
         """Return the fit with shapes placed in the fit `at`, which has those of `shaped`, and the
         effects that are then in it; None where that is not worth it."""
-        task = self.small.assume(self.data.task, WIDE)
+        task = self._assume_wide()
         found = pursue_shapes(evidence, _AT_ONCE)
         nearby = list_nearby([item.shape for item in found.items if item.shape is not None])
         if not nearby:
