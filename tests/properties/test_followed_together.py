@@ -9,6 +9,7 @@ import pytest
 
 import difffric as df
 from difffric.compute import pytrees
+from difffric.simulation.observables import observe, observe_steps
 from difffric.simulation.stepping.integrator import RungeKutta
 from difffric.simulation.stepping.path import follow, follow_together
 from tests.effect_rigs import OPTIONS
@@ -47,3 +48,21 @@ def test_each_is_the_push_alone(readings, channel):
     together, alone = (np.asarray(x[channel]) for x in readings)
     size = np.abs(alone).max()
     np.testing.assert_allclose(together, alone, atol=1e-9 * size, rtol=0)
+
+
+def test_the_peak_that_is_read_is_that_of_a_loop_that_senses():
+    integrator = RungeKutta()
+    blind = partial(integrator.build_loop, blind=True)
+    t = jnp.linspace(0.0, 0.3, 1500)
+
+    def look(rig, v):
+        m, path = follow(blind(rig, v), 400)
+        unfiltered = observe_steps(blind(rig, v), m).peak_force
+        f = path.read(t, t)[0]
+        sensed = observe(rig, v, integrator).peak_force
+        return path.find_read_peak(t, f, unfiltered), unfiltered, sensed
+
+    both = jax.jit(lambda r, v: jax.lax.map(lambda one: look(*one), (r, v)))
+    found, unfiltered, sensed = (np.asarray(x) for x in both(rigs(), jnp.asarray(VELOCITY)))
+    np.testing.assert_allclose(found, sensed, rtol=2e-5)
+    assert (np.abs(unfiltered / sensed - 1) > 2e-3).all()

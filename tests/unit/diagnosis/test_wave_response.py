@@ -125,3 +125,9 @@ def test_what_a_wave_explains_is_what_the_dense_normal_distribution_says(turns):
     gain = wave_response._compute_gains(found, response, np.array([turns]))
     expected = found.excess * (compute_left() - compute_left(*wave))
     assert gain[0] == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_wave_has_half_a_turn_within_the_longest_way_at_least():
+    cells = divide_turns(WAYS)
+    assert cells[0] == pytest.approx(0.5 / WAYS.max())
+    assert (np.diff(cells) > 0).all()
