@@ -1,5 +1,5 @@
-"""What is left without an effect that has no derivative at its null: what its null leaves, however a
-push jumps beside it."""
+"""What is left without an effect that has no derivative at its null is what its null leaves,
+however a push jumps beside it."""
 
 from __future__ import annotations
 
