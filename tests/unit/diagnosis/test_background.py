@@ -145,6 +145,23 @@ def test_a_push_on_an_edge_does_not_say_how_large_a_unit_is():
     )
 
 
+class _SquareRig(LinearModel):
+    """The last coordinate changes F_p and d by its square, as a low-pass does a smooth peak."""
+
+    def answers(self, index, c, directions, keep_rows=False):
+        found = super().answers(index, c, directions, keep_rows)
+        return found._replace(model=found.model * (1 + 0.02 * c[:, -1:] ** 2))
+
+
+def test_what_grows_by_its_square_matters_from_a_finite_size_on():
+    slopes = np.ones((N, 2, 2)) * [1.0, 0.0]
+    names = ("force_lowpass.tau_s",)
+    task = make_task(slopes, np.ones((N, 2)), names)
+    task = replace(task, model=_SquareRig(slopes, np.ones((N, 2)), names, exponential=True))
+    small = small_effects.choose_small_effects(task, start(task, 0.05), ("force_lowpass",))
+    assert small.usual == pytest.approx([np.sqrt(small_effects.UNIT_CHANGE / 0.02)], rel=1e-6)
+
+
 def make_shapes(seed: int, number: int) -> ShapeColumns:
     """Columns of waves and patches at random, each the change of the residuals by amplitude 1."""
     rng = np.random.default_rng(seed)

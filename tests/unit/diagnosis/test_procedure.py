@@ -65,6 +65,17 @@ def test_a_hidden_effect_is_named_sized_and_gains_on_new_pushes(effect, tmp_path
     assert after < before and after < 1.1
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("effect", "seed", "strength"),
+    [("contact_hardening", 500009, 30.0), ("static_dwell", 300007, 6.0)],
+    ids=["a push jumps beside the null of a lag", "a push stands on a wrong branch"],
+)
+def test_an_effect_is_named_where_a_push_stands_on_an_edge(effect, seed, strength, tmp_path):
+    one = Analysis(random_case(seed, effect, strength), tmp_path)
+    assert effect in one.first and len(one.found.causes) == 1
+
+
 def test_nothing_is_named_where_nothing_is_hidden(tmp_path):
     one = Analysis(random_case(1), tmp_path)
     assert one.found.verdict == "adequate" and not one.found.causes
