@@ -182,14 +182,17 @@ def limit_time(seconds: float) -> Iterator[None]:
     def stop(*_: object) -> None:
         raise TimeoutError(f"takes longer than {seconds:g} s")
 
-    signal.signal(signal.SIGALRM, stop)
+    before = signal.signal(signal.SIGALRM, stop)
     signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield
     except SystemError as error:  # a compiled function may not pass on what was raised in it
+        if not isinstance(error.__cause__, TimeoutError):
+            raise
         raise TimeoutError(f"takes longer than {seconds:g} s") from error
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def _find_friction(case: cases.Case) -> np.ndarray:

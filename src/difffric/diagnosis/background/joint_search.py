@@ -142,7 +142,7 @@ class JointSearch:
         mu_s makes up for it; whether that is better."""
         task = self._assume_wide()
         coordinates, starts = task.model.coordinates, []
-        for effect in set(_HIDDEN) & set(self.small.effects):
+        for effect in (x for x in _HIDDEN if x in self.small.effects):
             for value in list_starting_values(effect, self.data.scales)[-_LARGEST_SIZES:]:
                 c = self.joint.c.copy()
                 c[0, coordinates.indices(list(value))] = coordinates.point(value)
@@ -304,6 +304,8 @@ class JointSearch:
         """Take the fit that begins with one small effect of any size, on top of plain parameters
         and shapes of `base`, if chi-square falls by what it is `worth`; whether it does."""
         index, starts = self.small.index, []
+        if not index:
+            return False
         shapes = tuple(i for i in base.extra[0] if i not in index)
         for i in index:
             c = base.c.copy()
@@ -311,10 +313,8 @@ class JointSearch:
             c[0, others] = self.small.null[others]
             starts.append(replace(base, c=c, extra=((*shapes, i),)))
         fits, which = _fit_best(self.data.task, starts)
-        # All others are still to be freed.
-        more = ensemble.criterion(self.data.task, fits)
-        more = more - ensemble.criterion(self._assume_wide(), self.joint)
-        if more[0] > _EACH * len(index):
+        joint = ensemble.criterion(self._assume_wide(), self.joint)[0]
+        if ensemble.criterion(self.data.task, fits)[0] > joint + _EACH * len(index):
             return False
         before, self.large = self.large, self.large | {index[which]}
         start = self._hold(self.small.free(fits), fits.extra[0])
