@@ -101,3 +101,21 @@ def test_a_cause_that_is_right_stands_however_far_it_was_moved(seed):
     before = end_with(search, "tilt", {TILT: 0.0})
     assert background_search._compare_moved(search, before, right) is right
     assert background_search._compare_moved(search, right, right) is right
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_cause_that_was_held_at_its_null_is_fitted_again(seed):
+    search = make_joint(seed, tilt=1.5, gain=0.0, unseen=0.0)
+    at = search.joint
+    held = search.small.free(replace(at, c=np.zeros_like(at.c)))
+    start = search.small.start.copy()
+    start[TILT] = 1e-6
+    search.small = replace(search.small, start=start)
+    search.joint = ensemble.evaluate(search.data.task, search._hold(held))
+    assert TILT not in search.joint.extra[0]
+    evidence = search.weigh()
+    one = find_set(evidence, {"tilt"})
+    assert one is not None
+    search.free(evidence, one.items, [0.9])  # a size that is not the best: the fit finds that
+    assert TILT in search.joint.extra[0]
+    assert search.joint.c[0, TILT] == pytest.approx(1.5, abs=0.05)

@@ -118,9 +118,8 @@ class JointSearch:
         before = measure_left(self.data.task, self.joint)
         for share in _NEARER:
             task = self.small.assume(self.data.task, share, self.large)
-            fits = ensemble_refits.refit(
-                task, replace(self.joint, damping=None), _ROUNDS, tol=ROUGHLY
-            )
+            start = replace(self.joint, damping=None)
+            fits = ensemble_refits.refit(task, start, _ROUNDS, tol=ROUGHLY)
             more = measure_left(self.data.task, fits) - before
             if more * self.data.task.counts.sum() < _NEXT_TO_NOTHING:
                 self.joint = fits
@@ -168,8 +167,7 @@ class JointSearch:
     def _follow_start(
         self, task: EnsembleTask, start: Fits, worth: float = _NEXT_TO_NOTHING
     ) -> bool:
-        """Take the fit to which a start leads if chi-square falls by what it is `worth`; whether
-        it does."""
+        """Take the fit to which a start leads if it gains its `worth`; whether it does."""
         fits = ensemble_refits.refit(task, start, _ROUNDS, tol=ROUGHLY)
         gain = ensemble.criterion(task, self.joint)[0] - ensemble.criterion(task, fits)[0]
         if gain < worth:
@@ -245,8 +243,7 @@ class JointSearch:
         return True
 
     def move_shape(self, evidence: Evidence) -> bool:
-        """Place one of the shapes elsewhere, which stands at a wrong place; whether that is
-        better."""
+        """Place a shape elsewhere that stands at a wrong place; whether that is better."""
         task = self._assume_wide()
         starts, prices = [], []
         for effect in (x for x in self.shaped if x not in CUTTING):
@@ -273,8 +270,7 @@ class JointSearch:
         return ensemble.evaluate(self._assume_wide(), bare), shaped
 
     def place_shapes_anew(self, evidence: Evidence) -> bool:
-        """Place all small shapes anew, of which one may stand at a wrong place; whether that is
-        better."""
+        """Place all small shapes anew: one may stand at a wrong place. Whether that is better."""
         small = evidence.list_small_shapes(_SMALL)
         if not small:
             return False
@@ -371,6 +367,10 @@ class JointSearch:
         task = free_causes(self.data.task, self.small, evidence, items)
         # One of them may be far off: a large cause alone, or the linear answer where it is none.
         starts = ensemble.join(start, predict_start(evidence, items))
+        # A cause that was held at its null is free now.
+        own = [self.small.index[x.columns[0]] for x in items if x.shape is None]
+        extra = tuple((*some, *(i for i in own if i not in some)) for some in starts.extra)
+        starts = replace(starts, extra=extra)
         fits = ensemble_refits.refit(task, starts, _FIRST_ROUNDS)
         best = int(np.argmin(ensemble.criterion(task, fits)))
         self.joint = ensemble_refits.refit(task, fits.pick(best), _ROUNDS)
