@@ -1,12 +1,12 @@
 """A study of diagnosis: random rigs with hidden effects, from files, started from rough set-ups.
 
     python -m studies.diagnosis [--only clean] [--cases 50] [--shard 1/2] [--results DIR]
-        [--page PAGE]
+        [--page PAGE] [--keep]
 
 Every case has a seed of its own, is made by `tests.hidden`, which shares no code with the library,
 written to files, diagnosed from them, and appended as a line of JSON to
-DIR/diagnosis/CODE/GROUP.jsonl. What is there already is not done again. `studies.diagnosis_figures`
-makes the figures.
+DIR/diagnosis/CODE/GROUP.jsonl. What is there already is not done again, nor what an earlier run
+kept with the source (`--keep`). `studies.diagnosis_figures` makes the figures.
 """
 
 from __future__ import annotations
@@ -33,6 +33,8 @@ from tests.reference.effect_parameters import NULLS
 PAGE = runs.ROOT / "docs" / "study.md"
 IMAGE = runs.ROOT / "docs" / "images" / "diagnosis_confusion.png"
 RELIABILITY = IMAGE.with_name("diagnosis_reliability.png")
+ROOMS = ("calibration", "compute", "diagnosis", "estimation", "measurements", "rig", "simulation")
+"""Packages of the library on which a diagnosis depends."""
 EFFECTS = tuple(NULLS)
 AT_NO_STRENGTH = ("normal_force", "pusher_duration")
 """A normal force needs a second mass to be seen; a duration has no small size: it begins to show
@@ -67,10 +69,11 @@ def _turn(names: Sequence, i: int):
     return names[i % len(names)]
 
 
-def _strong(strength: float, kind: str = cases.RECORDINGS, among=IN_RECORDINGS) -> Callable:
+def _strong(strength: float, kind: str = cases.RECORDINGS, among=IN_RECORDINGS, n=14) -> Callable:
     def make(i, seed):
         effect = _turn(among, i)
         more = {"masses": HEAVIER} if effect == "normal_force" else {}
+        more["n"] = n
         if effect == "stribeck" and (i // len(among)) % 2:
             more["delta"] = 1.0
         if effect == "pusher_ramp" and (i // len(among)) % 2:
@@ -124,12 +127,13 @@ def _background(i, seed, share=0.0035, change: float | None = None):
 
 GROUPS = {
     "clean": Group(1, 1000, lambda i, seed: random_case(seed)),
-    "clean tables": Group(2, 1000, lambda i, seed: random_case(seed, kind=cases.TABLE)),
+    "clean tables": Group(2, 200, lambda i, seed: random_case(seed, kind=cases.TABLE, n=24)),
     "s = 6": Group(3, 240, _strong(6.0)),
     "s = 10": Group(4, 240, _strong(10.0)),
     "s = 30": Group(5, 120, _strong(30.0)),
     "typical": Group(6, 240, lambda i, seed: random_case(seed, _turn(IN_RECORDINGS, i))),
-    "tables": Group(7, 240, _strong(10.0, cases.TABLE, IN_TABLES)),
+    "tables of 24": Group(7, 160, _strong(10.0, cases.TABLE, IN_TABLES, 24)),
+    "tables of 100": Group(17, 80, _strong(10.0, cases.TABLE, IN_TABLES, 100)),
     "with nuisances": Group(8, 240, _counts, 0.005),
     "pairs": Group(9, 200, _pair),
     "outsiders": Group(10, 150, _outsider),
@@ -170,9 +174,11 @@ def run_case(group: str, i: int, keep: Path | None = None) -> dict:
         line["seconds"] = time.perf_counter() - began
     told = found.as_dict()
     told.pop("experiments")
-    away = np.abs(np.array(told.pop("mu_s")) - _find_friction(case))
+    truth = _find_friction(case)
+    away = np.abs(np.array(told.pop("mu_s")) - truth)
     within = float(np.mean(away <= _NINETY_FIVE * np.array(told.pop("mu_s_standard_error"))))
-    return {**line, **told, "mu_s_within": within, "true_model": true_model(found, case)}
+    line |= {"mu_s_within": within, "mu_s_error": _measure_error(away / truth)}
+    return {**line, **told, "true_model": true_model(found, case)}
 
 
 @contextmanager
@@ -202,15 +208,20 @@ def _find_friction(case: cases.Case) -> np.ndarray:
     return friction_of(replace(case, nuisances=seen))
 
 
+def _measure_error(away: np.ndarray) -> float:
+    """The root mean square of some relative errors."""
+    return float(np.sqrt(np.mean(away**2)))
+
+
 def _exponent(case: cases.Case) -> float:
     return case.effects.get("stribeck", {}).get("delta", 2.0)
 
 
 def true_model(found, case: cases.Case) -> dict | None:
     """The error on held-out pushes of the model that made the data, fitted from the truth, by how
-    much it beats the diagnosis's own in -2 log likelihood, and how probable it is that chance beats
-    the plain model by as much as it does. None: not one of the catalogue's, or not to be
-    followed."""
+    much it beats the diagnosis's own in -2 log likelihood, how probable it is that chance beats
+    the plain model by as much as it does, and the error of its mu_s. None: not one of the
+    catalogue's, or not to be followed."""
     from difffric.diagnosis.cross_validation import assign_folds
     from difffric.diagnosis.score_test import compute_p_value
     from difffric.estimation import ensemble as en
@@ -247,22 +258,59 @@ def true_model(found, case: cases.Case) -> dict | None:
     drop = float(en.criterion(task, plain)[0] - en.criterion(task, at)[0])
     effect, looked_for = next(iter(case.effects)), len(state.data.looked_for)
     squares = held_out.predict_held_out(task, replace(at, spread=base.spread), folds).squares
+    mu_s = np.exp(at.mu[0, task.condition] + at.own[0])
     return {
+        "mu_s_error": _measure_error(mu_s / _find_friction(case) - 1),
         "heldout_nrmse": float(np.sqrt(squares.sum() / task.counts.sum())),
         "better_by": float(en.criterion(task, base)[0] - en.criterion(task, at)[0]),
         "p_value": compute_p_value(effect, drop, looked_for),
     }
 
 
+_READ = (
+    "group", "case", "kind", "skipped", "error", "effects", "outsider", "another_form",
+    "components", "s", "seconds", "verdict", "location", "remaining", "gain", "true_model",
+    "mu_s_within", "mu_s_error",
+)  # fmt: skip
+_OF_CAUSES = (
+    "id", "component", "confusable_with", "probability", "parameters", "chi2_drop",
+    "chi2_drop_predicted",
+)  # fmt: skip
+"""What the figures read of a case and of its causes."""
+
+
+def shorten(line: dict) -> dict:
+    """A case with what the figures read, to five digits."""
+    short = {key: line[key] for key in _READ if key in line}
+    for key in ("causes", "considered", "negligible"):
+        if key in line:
+            some = [x for x in line[key] if key != "considered" or x["id"] in line["effects"]]
+            short[key] = [{k: x[k] for k in _OF_CAUSES if k in x} for x in some]
+    return _round(short)
+
+
+def _round(x):
+    """All numbers within to five digits."""
+    if isinstance(x, dict):
+        return {key: _round(value) for key, value in x.items()}
+    if isinstance(x, list | tuple):
+        return [_round(value) for value in x]
+    return float(f"{x:.5g}") if isinstance(x, float) else x
+
+
 def main(words: Sequence[str] | None = None) -> int:
     """Run what is missing, print the figures, write the page."""
     asked, shard = runs.arguments("studies.diagnosis", __doc__ or "", tuple(GROUPS), PAGE, words)
     runs.prepare()
-    folder = asked.results / "diagnosis" / runs.code("hidden")
+    name = runs.code("hidden", ROOMS)
+    folder, kept = asked.results / "diagnosis" / name, runs.KEPT / "diagnosis" / name
+    runs.add_missing(kept, folder)
     for group in asked.only or GROUPS:
         count = GROUPS[group].count if asked.cases is None else asked.cases
         runs.run(group, folder, count, partial(run_case, group), shard, figures.told)
     everything = {group: runs.load(folder, group) for group in GROUPS}
+    if asked.keep:
+        runs.add_missing(folder, kept, shorten)
     text = figures.markdown(everything, folder.name)
     print(text)
     if shard == (1, 1):

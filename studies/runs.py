@@ -15,14 +15,23 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / ".study"
+KEPT = ROOT / "studies" / "results"
+"""Where cases are kept with the source, so that a study of a day can be done in parts."""
 
 
-def code(simulator: str) -> str:
-    """Ten digits that stand for the source of the library and of a simulator (of tests)."""
+def code(simulator: str, rooms: Sequence[str] | None = None) -> str:
+    """Ten digits that stand for the source of the library and of a simulator (of tests).
+
+    `rooms` are the packages of the library that count, beside the modules in none; by default all.
+    """
     digest = hashlib.sha256()
     for folder in (ROOT / "src" / "difffric", ROOT / "tests" / simulator):
         for path in sorted(folder.rglob("*.py")):
-            digest.update(str(path.relative_to(folder)).encode() + path.read_bytes())
+            inner = path.relative_to(folder)
+            of_library = folder.name == "difffric" and len(inner.parts) > 1
+            if rooms is not None and of_library and inner.parts[0] not in rooms:
+                continue
+            digest.update(str(inner).encode() + path.read_bytes())
     return digest.hexdigest()[:10]
 
 
@@ -37,6 +46,18 @@ def load(folder: Path, name: str) -> list[dict]:
                 continue
             lines[line["case"]] = line
     return [lines[case] for case in sorted(lines)]
+
+
+def add_missing(
+    source: Path, target: Path, change: Callable[[dict], dict] = lambda line: line
+) -> None:
+    """Add to the lines of every part in `target` those of `source` that it has not, changed."""
+    for path in sorted(source.glob("*.jsonl")):
+        target.mkdir(parents=True, exist_ok=True)
+        there = {line["case"] for line in load(target, path.stem)}
+        for line in load(source, path.stem):
+            if line["case"] not in there:
+                _append(target / path.name, json.dumps(change(line), allow_nan=True))
 
 
 def run(
@@ -111,6 +132,7 @@ def arguments(
     parser.add_argument("--shard", default="1/1", help="i/n: the i-th of n processes")
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--page", type=Path, default=page)
+    parser.add_argument("--keep", action="store_true", help="keep the cases with the source")
     asked = parser.parse_args(words)
     i, n = (int(x) for x in asked.shard.split("/"))
     return asked, (i, n)

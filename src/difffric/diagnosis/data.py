@@ -109,6 +109,7 @@ def prepare_data(
         share=(order - order.min()) / (span or 1.0),
         rest=np.nan_to_num(measured.rest_before),
         data=data,
+        until=np.full(len(mass), np.inf),
     )
     names = list(dict.fromkeys(measured.condition))
     task = EnsembleTask(

@@ -85,15 +85,16 @@ def propose_pushes(data: DiagnosisData) -> tuple[StackedPushes, NDArray]:
     n = data.task.n
     v = np.asarray(old.velocity)
     speeds = np.unique([min(x * v.min(), v.max()) for x in _SPEEDS])
-    mass, stroke = float(np.median(old.mass)), float(np.median(old.stroke))
-    long = stroke * 2 if np.isfinite(stroke) else stroke
+    m, s = float(np.median(old.mass)), float(np.median(old.stroke))
     ends = (speeds[0], speeds[-1])
-    rows = [(x, mass, stroke, 0.0) for x in speeds]
-    rows += [(x, _HEAVIER * mass, stroke, 0.0) for x in ends]
-    rows += [(x, mass, stroke, _LONG_REST) for x in ends]
-    rows += [(x, mass, long, 0.0) for x in ends] if np.isfinite(stroke) else []
+    rows = [(x, m, s, 0.0) for x in speeds]
+    rows += [(x, _HEAVIER * m, s, 0.0) for x in ends]
+    rows += [(x, m, s, _LONG_REST) for x in ends]
+    rows += [(x, m, 2 * s, 0.0) for x in ends] if np.isfinite(s) else []
     columns = np.array(rows)[np.arange(n) % len(rows)].T
-    whole = StackedPushes(columns[0], columns[1], columns[2], np.ones(n), columns[3], None)
+    velocity, mass, stroke, rest = columns
+    no_end = np.full(n, np.inf)
+    whole = StackedPushes(velocity, mass, stroke, np.ones(n), rest, None, no_end)
     return whole, np.arange(min(n, len(rows)))
 
 

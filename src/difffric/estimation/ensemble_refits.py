@@ -92,7 +92,7 @@ def _settle_own(task: EnsembleTask, fits: Fits, pushes: NDArray | None) -> Fits:
     Where derivatives by many parameters are asked for, they are taken once the own mu_s rest.
     """
     if _has_many(task, fits):
-        return en.evaluate(task, _settle_narrowly(task, fits, pushes), pushes)
+        return en.evaluate(task, settle_narrowly(task, fits, pushes), pushes)
     return _settle(task, fits, pushes)
 
 
@@ -101,7 +101,7 @@ def _has_many(task: EnsembleTask, fits: Fits) -> bool:
     return 1 + len(task.shared) + max(map(len, fits.extra)) > task.model.directions
 
 
-def _settle_narrowly(task: EnsembleTask, fits: Fits, pushes: NDArray | None) -> Fits:
+def settle_narrowly(task: EnsembleTask, fits: Fits, pushes: NDArray | None = None) -> Fits:
     """The fits with each push's own mu_s at what is best, their answers without the derivatives by
     any other parameter, and with that by this one from differences."""
     alone = replace(fits, extra=((),) * fits.m)
@@ -207,7 +207,7 @@ def refit(
         at = fits.pick(which)
         moved, promised = _predict_step(task, at, damping[which])
         many = _has_many(task, at)
-        settle = _settle_narrowly if many else _settle_own
+        settle = settle_narrowly if many else _settle_own
         trial = settle(task, moved, pushes)
         before = en.profile_cost(task, at)
         after = en.profile_cost(replace(task, shared=()) if many else task, _keep_own(trial, many))

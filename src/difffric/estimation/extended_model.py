@@ -68,6 +68,8 @@ class StackedPushes(NamedTuple):
     data: Any
     """(force, position), both `UnevenBlocks`; or, of a table, (measured (n, 2), 1 / standard error
     (n, 2))"""
+    until: Array
+    """time [s] after which nothing is asked of a recorded push"""
 
 
 def build_push_rig(coordinates: Coordinates, rig: Rig, push: StackedPushes, c: Array) -> Rig:
@@ -101,18 +103,17 @@ def _answer_recordings(
 ) -> AnswerRows:
     """The answers for B recorded pushes at coordinates c (B, K), along directions (B, D, K)."""
     force, position = pushes.data
-    integrator = RungeKutta(TOLERANCE)
+    build = partial(RungeKutta(TOLERANCE).build_loop, blind=True)
 
     def read(c: Array) -> Any:
         rigs = jax.vmap(lambda push, c: build_push_rig(coordinates, rig, push, c))(pushes, c)
         v = jax.vmap(lambda rig, v: rig.pusher.speed(v))(rigs, pushes.velocity)
-        paths = follow_together(partial(integrator.build_loop, blind=True), rigs, v, steps)
+        paths = follow_together(build, rigs, v, steps, pushes.until)
         f, x = _read_in_chunks(paths, force, position)
         # What could not be followed to its end is no number, and no fit goes there.
-        known = jnp.where(paths.end.lost_track | ~paths.end.over, jnp.nan, 1.0)[:, None]
+        known = jnp.where(paths.end.lost_track, jnp.nan, 1.0)[:, None]
         f, x = known * f, known * x
-        seen = jax.vmap(lambda rig, v, m: observe_steps(integrator.build_loop(rig, v, True), m))
-        seen = seen(rigs, v, paths.end)
+        seen = jax.vmap(lambda *at, m: observe_steps(build(*at), m))(rigs, v, m=paths.end)
         peak = jax.vmap(PushPath.find_read_peak)(paths, force.t, f, seen.peak_force)
         model = jnp.stack([peak, seen.sliding_distance], axis=1)
         means = jax.vmap(_average)
@@ -392,9 +393,6 @@ class ExtendedModel:
             some = directions[:, lo : lo + most]
             padded = np.zeros((len(c), most, c.shape[1]))
             padded[:, : some.shape[1]] = some
-            found = self._program(self._rig, pushes, c, padded)
-            rows = np.asarray(found.rows)
+            rows, model = map(np.asarray, self._program(self._rig, pushes, c, padded))
             parts.append(rows[..., : some.shape[1]])
-        return AnswerRows(
-            np.concatenate([*parts, rows[..., -1:]], axis=-1), np.asarray(found.model)
-        )
+        return AnswerRows(np.concatenate([*parts, rows[..., -1:]], axis=-1), model)

@@ -16,7 +16,7 @@ from difffric.diagnosis.background.size_scan import FROM_AFAR, place_cutting_eff
 from difffric.diagnosis.data import DiagnosisData
 from difffric.diagnosis.starting_values import find_contact_time
 from difffric.estimation import ensemble, ensemble_refits
-from difffric.estimation.block_means import UnevenBlocks
+from difffric.estimation.block_means import LONGEST, UnevenBlocks
 from difffric.estimation.ensemble import EnsembleTask, Fits
 
 _HORIZONS = (1.5, 4.0)
@@ -29,6 +29,8 @@ _STIFFNESSES = np.array([0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8])
 """Shares of the set-up's stiffness from which a plain fit may begin: as rough as a guess may be."""
 _OWN = np.linspace(-0.5, 0.5, 11)
 """Log mu_s of each push beyond the set-up's that are tried with each of them."""
+_BEYOND = 5 * LONGEST
+"""How far beyond a horizon [s] a block reaches at most."""
 _FOLLOWED = 2
 """How many of these starts are followed."""
 
@@ -127,9 +129,12 @@ def cut_at(task: EnsembleTask, horizon: NDArray) -> EnsembleTask:
         keep = 0.5 * (first + second) < horizon[:, None]
         doubt = None if blocks.doubt is None else np.where(keep[..., None], blocks.doubt, 0.0)
         a, b = (np.where(keep, x, 0.0) for x in (blocks.a, blocks.b))
-        return blocks._replace(a=a, b=b, doubt=doubt)
+        # What is left out is not read either.
+        asked, also = (np.where(keep, x, 0) for x in blocks[1:3])
+        return blocks._replace(first=asked, second=also, a=a, b=b, doubt=doubt)
 
     both = tuple(cut(blocks) for blocks in task.model.pushes.data)
     counts = np.stack([(blocks.a > 0).sum(axis=1) for blocks in both], axis=1).astype(float)
-    model = replace(task.model, pushes=task.model.pushes._replace(data=both))
+    until = horizon + _BEYOND
+    model = replace(task.model, pushes=task.model.pushes._replace(data=both, until=until))
     return replace(task, model=model, counts=counts)

@@ -148,11 +148,10 @@ class JointSearch:
                 starts.append(self._hold(replace(self.joint, c=c)))
         if not starts:
             return False
-        every = ensemble.evaluate(task, ensemble.join(*starts))
-        every = ensemble_refits.rescan_bad_pushes(task, every, fine=True)
-        every = ensemble_refits.refit(task, every, _FIRST_ROUNDS)
-        best = every.pick(int(np.argmin(ensemble.criterion(task, every))))
-        return self._follow_start(task, best)
+        at = ensemble_refits.settle_narrowly(task, ensemble.join(*starts))
+        at = ensemble_refits.settle_narrowly(task, ensemble_refits.rescan_bad_pushes(task, at))
+        best = at.pick(int(np.argmin(ensemble.sum_squares(task, at))))
+        return self._follow_start(task, replace(best, gram=None, residual=None, damping=None))
 
     def _hold(self, at: Fits, free: Sequence[int] = ()) -> Fits:
         """Return a fit with the effects that have no derivative at their null there, but for those

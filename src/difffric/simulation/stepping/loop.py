@@ -14,9 +14,11 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float
 
+from difffric.compute import hermite
 from difffric.compute.pytrees import select
 from difffric.compute.xla_options import in_one_piece
 from difffric.simulation.dynamics import Course, Motion, PhasePoint
@@ -34,7 +36,19 @@ MAX_STEPS = 20_000
 """Steps after which a push is given up, so that laws that make no sense come to an end too."""
 _LOST = 1e-13  # of the push's own time: a step as short as this no longer moves it
 _ROUNDING = 1e-12  # of g: a part that has just broken away slows by less, which is rounding
-_CLOSE = 1e-4  # of a free step: an event this near to the end is reached by the Taylor step
+_CLOSE = 1e-4
+"""Of a free step: an event this near to the end is reached by the Taylor step."""
+_LOOSELY_CLOSE, _NOT_FAR = 10.0, 0.1
+"""The same in units of the tolerance's root, as the Taylor step's remainder is of third order; up
+to this share of the step itself."""
+_CAUGHT, _LET_GO = 0.55, 0.1
+"""Of the push's own time: the first step of a part that is caught, at most, or let go, at least."""
+_MOST_GROWTH = 6.0
+"""By how much a step may be longer than the one before."""
+_LOOKS = np.arange(1, 8) / 8
+"""Shares of a step at which the force is looked at, and how high it must be there, as a share of
+the highest so far, to be followed to its summit."""
+_HIGH = 0.95
 
 
 class _StepEnd(NamedTuple):
@@ -176,7 +190,7 @@ class StepLoop(NamedTuple):
             return self.motion.rates(c, p)
 
         begin = self._look_at_start(m, field(m.s))
-        plan = plan_step(self.rules, m, begin)
+        plan = plan_step(self.rules, m, begin, self.tol)
         take = take_step_in_loop if self.looped else take_step
         y, errors = take(field, m.s, begin.rate, plan.h)
         end = self._look_at_end(c, y, field)
@@ -246,7 +260,8 @@ class StepLoop(NamedTuple):
             found[Event.CORNER] = Guard.of(h, start, (left, slope, jnp.zeros_like(h)))
         # The force is highest where its rate falls through zero, the part slowest where x'' rises.
         closing = c.mode == Mode.CLOSING
-        rises = closing & ~m.summited & (begin.dN > 0)
+        # A summit that is lower than one before is none: two steps are saved.
+        rises = closing & ~m.summited & (begin.dN > 0) & self._is_high(m, begin, end, h)
         slows = begin.rate.u < -_ROUNDING * GRAVITY
         slow = closing & ~m.slowed & slows & (jnp.minimum(s.u, y.u) < 0.05 * self.motion.v)
         found[Event.FORCE_PEAK] = Guard.of_maximum(
@@ -256,6 +271,15 @@ class StepLoop(NamedTuple):
             h, slow, (-s.u, -begin.rate.u), (-y.u, -end.rate.u, -end.bend.u)
         )
         return found
+
+    def _is_high(self, m: LoopState, begin: StepStart, end: _StepEnd, h: Array) -> Array:
+        """Whether the force may come to more in a step of h [s] than ever before."""
+        numbers = begin.N, begin.dN * h, end.N, end.dN * h, end.ddN * h * h
+        curve = hermite.fit_quartic(*stop_gradient(numbers))
+        high = jnp.maximum(begin.N, end.N)
+        for share in _LOOKS:
+            high = jnp.maximum(high, hermite.evaluate(curve, share))
+        return high > _HIGH * m.peak
 
     def _is_steady(self, c: Course, begin: StepStart) -> Array:
         """Whether the part slides steadily before the tip, which has no events but the stop."""
@@ -276,7 +300,9 @@ class StepLoop(NamedTuple):
         h = plan.h
         err = self._scale_error(errors, m.course.mode, h)
         good = err <= 1
-        near = _CLOSE * jnp.maximum(m.h, h) / h
+        free = jnp.maximum(m.h, h) / h
+        loosely = jnp.minimum(_LOOSELY_CLOSE * self.tol**0.5 * free, _NOT_FAR)
+        near = jnp.maximum(_CLOSE * free, loosely)
         guards = self._guards(m, plan, begin, end)
         crossing = find_crossing(guards, h, plan.aim, near, steady)
         arrived = good & crossing.passed & (crossing.share >= 1 - near)
@@ -298,15 +324,29 @@ class StepLoop(NamedTuple):
         N = end.N + dt * (end.dN + 0.5 * dt * end.ddN)
         force = jnp.where(N > begin.N, N, begin.N)
         higher = outcome.accept & ~(force <= m.peak)  # so that a force that is no number shows
-        grow = jnp.clip(0.9 * jnp.maximum(outcome.err, 1e-9) ** (-1.0 / 8.0), 0.2, 4.0)
+        grow = jnp.clip(0.9 * jnp.maximum(outcome.err, 1e-9) ** (-1.0 / 8.0), 0.2, _MOST_GROWTH)
         kept = jnp.maximum(m.h, jnp.where(plan.at_once, 0.0, plan.h))
         event = jnp.where(arrived, outcome.crossing.event, Event.NONE)
         done = self.rules.pass_event(m, event, at, end.rate.u)
+        # How long a part waits at rest says nothing of how it then moves.
+        waits = (m.course.mode == Mode.STUCK) & (plan.h < m.h)
+        h = jnp.where(arrived | plan.at_once | plan.aims | waits, kept, plan.h * grow)
         return done._replace(
-            h=jnp.where(arrived | plan.at_once | plan.aims, kept, plan.h * grow),
+            h=self._begin_anew(event, m.course.mode, done.course.mode, h),
             peak=jnp.where(higher, force, m.peak),
             peak_contact=jnp.where(higher, m.contacts, m.peak_contact),
         )
+
+    def _begin_anew(self, event: Array, before: Array, after: Array, h: Array) -> Array:
+        """The next step [s], of a size that fits what an event begins: h is the one before it."""
+        time = stop_gradient(self.time)
+        caught = (before == Mode.FREE) & (after != Mode.FREE)
+        h = jnp.where(caught, jnp.minimum(h, _CAUGHT * time), h)
+        let_go = (before != Mode.FREE) & (after == Mode.FREE)
+        h = jnp.where(let_go, jnp.maximum(h, _LET_GO * time), h)
+        lag = stop_gradient(jnp.asarray(self.motion.rig.pusher.lag(), float))
+        stops = (event == Event.STOP) & (lag > 0)
+        return jnp.where(stops, jnp.minimum(h, lag), h)
 
     def _try_again(self, m: LoopState, plan: StepPlan, outcome: _Outcome) -> LoopState:
         """The state before the same step, which is to end on the event that it went beyond, or to

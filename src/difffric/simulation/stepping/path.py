@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from difffric.compute.pytrees import select
@@ -115,18 +116,25 @@ def follow(loop: StepLoop, rows: int) -> tuple[LoopState, PushPath]:
 
 
 def follow_together(
-    build_loop: Callable[[Rig, Array], StepLoop], rigs: Rig, v: Float[Array, " n"], rows: int
+    build_loop: Callable[[Rig, Array], StepLoop],
+    rigs: Rig,
+    v: Float[Array, " n"],
+    rows: int,
+    until: Float[ArrayLike, " n"] = np.inf,
 ) -> PushPath:
-    """The paths of many pushes, followed in one loop that ends with the last of them, for so many
-    steps at most; `end.lost_track` says where that was too few, or a law gave no number.
+    """The paths of many pushes, followed in one loop that ends with the last of them, or beyond the
+    times `until` [s], for so many steps at most; `end.lost_track` says where that was too few, or a
+    law gave no number.
 
     `build_loop(rig, v)` is mapped over rigs and speeds [m/s] with a leading axis. `vmap` of
     `follow` would do the same, and copy the whole table of strides at each step.
     """
 
-    def step(rig, v, m):
+    until = jnp.broadcast_to(jnp.asarray(until, float), jnp.shape(v))
+
+    def step(rig, v, until, m):
         here = build_loop(rig, v)
-        on = here.is_unfinished(m)
+        on = here.is_unfinished(m) & (m.s.t < until)
         new, stride = here.step(m, record=True)
         assert stride is not None
         # A step that is taken again has the time of the next one, which is found in its place;
@@ -140,22 +148,22 @@ def follow_together(
     every = jax.vmap(step)
     every = in_one_piece(every) if rigs.only_own_laws else every
     start = jax.vmap(lambda rig, v: build_loop(rig, v).start())(rigs, v)
-    blank = jax.eval_shape(lambda m: every(rigs, v, m)[1], start)
+    blank = jax.eval_shape(lambda m: every(rigs, v, until, m)[1], start)
     table = jax.tree.map(lambda a: jnp.zeros((rows, *a.shape), a.dtype), blank)
     table = table._replace(t=jnp.full((rows, *blank.t.shape), jnp.inf))
 
     def turn(carry):
         k, m, table = carry
-        m, stride = every(rigs, v, m)
+        m, stride = every(rigs, v, until, m)
         table = jax.tree.map(lambda whole, row: whole.at[k].set(row), table, stride)
         return k + 1, m, table
 
     def goes_on(carry):
         k, m, _ = carry
-        return (k < rows) & ~jnp.all(m.over)
+        return (k < rows) & ~jnp.all(m.over | (m.s.t >= until))
 
     steps, m, table = jax.lax.while_loop(goes_on, turn, (0, start, table))
-    m = m._replace(lost_track=m.lost_track | ~m.over)
+    m = m._replace(lost_track=m.lost_track | ~(m.over | (m.s.t >= until)))
 
     def path(rig, v, m, table):
         found = PushPath(build_loop(rig, v).motion, table, m)

@@ -13,7 +13,9 @@ from difffric.simulation.events import Event, Mode
 from difffric.simulation.stepping.state import LoopState
 from difffric.simulation.stepping.transitions import Rules
 
-_FINEST = 1e-5  # of the push's own time: no step is shorter where a law is rough at first touch
+_FINEST = 1.0
+"""Of the push's own time, in units of the tolerance's root: no step is shorter where a law is rough
+at first touch. What is left out there is less than the tolerance."""
 _LONGEST = 1e3  # of the push's own time: the longest wait for a breakaway
 
 
@@ -42,7 +44,7 @@ class StepPlan(NamedTuple):
     """until the next corner of the pusher's speed [s]; None: it keeps one speed"""
 
 
-def plan_step(rules: Rules, m: LoopState, begin: StepStart) -> StepPlan:
+def plan_step(rules: Rules, m: LoopState, begin: StepStart, tol: float) -> StepPlan:
     """How far: to the event aimed at; at rest straight to the breakaway, as the force grows
     now; else as far as the last step's error lets."""
     motion, c, s = rules.motion, m.course, m.s
@@ -55,7 +57,9 @@ def plan_step(rules: Rules, m: LoopState, begin: StepStart) -> StepPlan:
     wait = jnp.where(c.touching & (ahead < longest), ahead, longest)
     at_once = stuck if pusher.constant else jnp.asarray(False)
     wait = jnp.where(at_once, wait, jnp.where(stuck, jnp.minimum(wait, m.h), m.h))
-    h = jnp.where(aims, m.h_target, jnp.minimum(wait, _limit_by_touch(rules, c, s, begin.rate.z)))
+    h = jnp.where(
+        aims, m.h_target, jnp.minimum(wait, _limit_by_touch(rules, c, s, begin.rate.z, tol))
+    )
     rests = jnp.where(stuck & c.touching, Event.BREAKAWAY, Event.NONE)
     aim = jnp.where(aims, m.target, rests)
     corner = None
@@ -67,11 +71,11 @@ def plan_step(rules: Rules, m: LoopState, begin: StepStart) -> StepPlan:
     return StepPlan(stop_gradient(h), aim, aims, at_once, corner)
 
 
-def _limit_by_touch(rules: Rules, c: Course, s: PhasePoint, w: Array) -> Array:
+def _limit_by_touch(rules: Rules, c: Course, s: PhasePoint, w: Array, tol: float) -> Array:
     """The longest step [s] in contact. Where a law is not smooth at first touch, its
     derivatives are less so than its values: steps there shrink with the compression, which
     grows at the rate w [m/s]."""
     touched = (c.mode == Mode.CLOSING) | (c.mode == Mode.REBOUNDING)
     graded = jnp.where(w > 0, 1.5, 0.6) * s.z / jnp.maximum(jnp.abs(w), 1e-12 * rules.u_0)
     rough = touched & rules.motion.rig.contact.rough
-    return jnp.where(rough, jnp.maximum(graded, _FINEST * rules.time), jnp.inf)
+    return jnp.where(rough, jnp.maximum(graded, _FINEST * tol**0.5 * rules.time), jnp.inf)
