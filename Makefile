@@ -32,7 +32,7 @@ test: $(READY)  ## the tests; some need Debian's GHDL, yosys, Icarus, Chromium, 
 	@sh tests/tools.sh
 	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
 
-study: $(READY)  ## 1800 calibrations, 3670 diagnoses (a day; CASES=50: of each part), the slow tests
+study: $(READY)  ## 1800 calibrations, 4410 diagnoses (a day; CASES=50: of each part), the slow tests
 	$(BIN)/python -m studies.calibration $(if $(CASES),--cases $(CASES))
 	$(BIN)/python -m studies.slides $(if $(CASES),--cases $(CASES))
 	$(BIN)/python -m studies.diagnosis $(if $(CASES),--cases $(CASES))

@@ -24,23 +24,33 @@ def rigs():
     return pytrees.replicate(real, len(VELOCITY))
 
 
-@pytest.fixture(scope="module")
-def readings():
-    """(together, alone): force and position of each push at the same instants."""
-    build_loop = partial(RungeKutta().build_loop, blind=True)
-    t = jnp.linspace(-1e-3, 0.2, 300)
+T = np.linspace(-1e-3, 0.2, 300)
 
-    def together(rigs, v):
-        paths = follow_together(build_loop, rigs, v, 400)
-        return jax.vmap(lambda path: path.read(t, t))(paths)
+
+@pytest.fixture(scope="module")
+def paths_until():
+    """A function of a time: (force, position) of each push at T, followed together to that time,
+    and where each ends."""
+    build_loop = partial(RungeKutta().build_loop, blind=True)
+
+    def together(rigs, v, until):
+        paths = follow_together(build_loop, rigs, v, 400, until)
+        return jax.vmap(lambda path: path.read(jnp.asarray(T), jnp.asarray(T)))(paths), paths.end
+
+    compiled = jax.jit(together, compiler_options=OPTIONS)
+    return lambda until: compiled(rigs(), jnp.asarray(VELOCITY), jnp.asarray(until))
+
+
+@pytest.fixture(scope="module")
+def readings(paths_until):
+    """(together, alone): force and position of each push at the same instants."""
+    build_loop, t = partial(RungeKutta().build_loop, blind=True), jnp.asarray(T)
 
     def alone(rigs, v):
         return jax.lax.map(lambda one: follow(build_loop(*one), 400)[1].read(t, t), (rigs, v))
 
-    return [
-        jax.jit(f, compiler_options=OPTIONS)(rigs(), jnp.asarray(VELOCITY))
-        for f in (together, alone)
-    ]
+    each = jax.jit(alone, compiler_options=OPTIONS)(rigs(), jnp.asarray(VELOCITY))
+    return paths_until(np.inf)[0], each
 
 
 @pytest.mark.parametrize("channel", [0, 1], ids=["force", "position"])
@@ -48,6 +58,34 @@ def test_each_is_the_push_alone(readings, channel):
     together, alone = (np.asarray(x[channel]) for x in readings)
     size = np.abs(alone).max()
     np.testing.assert_allclose(together, alone, atol=1e-9 * size, rtol=0)
+
+
+@pytest.mark.parametrize("channel", [0, 1], ids=["force", "position"])
+def test_a_push_that_is_followed_to_a_time_is_the_whole_push_until_then(paths_until, channel):
+    (whole, end), (part, stopped) = paths_until(np.inf), paths_until(0.05)
+    before = T <= 0.05
+    np.testing.assert_array_equal(
+        np.asarray(part[channel])[:, before], np.asarray(whole[channel])[:, before]
+    )
+    assert np.asarray(end.over).all() and not np.asarray(stopped.over).any()
+    assert not np.asarray(stopped.lost_track).any()
+    assert (np.asarray(stopped.steps) < np.asarray(end.steps)).all()
+
+
+def test_a_looser_tolerance_takes_fewer_steps_and_errs_by_less_than_is_seen(readings):
+    build_loop = partial(RungeKutta(1e-7).build_loop, blind=True)
+
+    def follow_all(rigs, v):
+        paths = follow_together(build_loop, rigs, v, 400)
+        return jax.vmap(lambda path: path.read(jnp.asarray(T), jnp.asarray(T)))(paths), paths.end
+
+    compiled = jax.jit(follow_all, compiler_options=OPTIONS)
+    found, end = compiled(rigs(), jnp.asarray(VELOCITY))
+    for loose, exact in zip(found, readings[0], strict=True):
+        size = np.abs(exact).max()
+        np.testing.assert_allclose(loose, exact, atol=1e-5 * size, rtol=0)
+    # Of the steps few are repeats: one for each event, at most.
+    assert np.asarray(end.steps).sum() < 1.5 * np.asarray(end.strides).sum()
 
 
 def test_the_peak_that_is_read_is_that_of_a_loop_that_senses():

@@ -1,0 +1,67 @@
+"""The study of diagnoses is done in parts: what is kept with the source is not done again."""
+
+import json
+from functools import partial
+
+from studies import diagnosis as study
+from studies import runs
+
+CAUSE = {
+    "id": "stribeck",
+    "component": "friction",
+    "confusable_with": [],
+    "probability": 0.987654321,
+    "parameters": {"v_s_m_per_s": {"value": 0.0123456789, "standard_error": 1e-4}},
+    "chi2_drop": 40.0,
+    "text": "friction falls with the speed",
+}
+LINE = {
+    "group": "s = 6",
+    "case": 3,
+    "effects": {"stribeck": {"v_s_m_per_s": 0.0125}},
+    "verdict": "named",
+    "causes": [CAUSE],
+    "considered": [CAUSE, {**CAUSE, "id": "gauge"}],
+    "negligible": [],
+    "plan": ["much that no figure reads"],
+}
+
+
+def test_a_case_is_kept_with_what_the_figures_read():
+    short = study.shorten(LINE)
+    assert "plan" not in short and "text" not in short["causes"][0]
+    assert [x["id"] for x in short["considered"]] == ["stribeck"]
+    assert short["causes"][0]["probability"] == 0.98765
+    assert study.shorten(short) == short
+
+
+def test_what_is_kept_is_not_done_again(tmp_path):
+    done, kept = tmp_path / "done", tmp_path / "kept"
+    kept.mkdir()
+    (kept / "s = 6.jsonl").write_text(json.dumps(LINE) + "\n", encoding="utf-8")
+    runs.add_missing(kept, done)
+    asked = []
+    runs.run("s = 6", done, 5, lambda i: asked.append(i) or {"case": i})
+    assert asked == [0, 1, 2, 4]
+    runs.add_missing(done, kept, partial(dict, told=True))
+    there = runs.load(kept, "s = 6")
+    assert [x["case"] for x in there] == [0, 1, 2, 3, 4]
+    assert [x["case"] for x in there if "told" not in x] == [3]
+
+
+def test_a_room_that_no_diagnosis_enters_is_no_other_source(tmp_path, monkeypatch):
+    monkeypatch.setattr(runs, "ROOT", tmp_path)
+    for room in ("rig", "axis"):
+        (tmp_path / "src" / "difffric" / room).mkdir(parents=True)
+    (tmp_path / "src" / "difffric" / "units.py").write_text("GRAVITY = 9.8\n", encoding="utf-8")
+
+    def code():
+        return runs.code("hidden", ("rig",))
+
+    before = code()
+    (tmp_path / "src" / "difffric" / "axis" / "fit.py").write_text("x = 1\n", encoding="utf-8")
+    assert code() == before
+    (tmp_path / "src" / "difffric" / "rig" / "rig.py").write_text("x = 1\n", encoding="utf-8")
+    changed = code()
+    (tmp_path / "src" / "difffric" / "units.py").write_text("GRAVITY = 9.81\n", encoding="utf-8")
+    assert len({before, changed, code()}) == 3
