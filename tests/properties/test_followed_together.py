@@ -104,3 +104,19 @@ def test_the_peak_that_is_read_is_that_of_a_loop_that_senses():
     found, unfiltered, sensed = (np.asarray(x) for x in both(rigs(), jnp.asarray(VELOCITY)))
     np.testing.assert_allclose(found, sensed, rtol=2e-5)
     assert (np.abs(unfiltered / sensed - 1) > 2e-3).all()
+
+
+def test_a_step_that_led_to_no_number_is_not_read():
+    """The first step of stiff bristles is far too long: what it led to is no number."""
+    stiff = {"presliding": {"sigma_0_N_per_m": 1e9, "sigma_1_N_s_per_m": 5e4}}
+    real = pytrees.replicate(df.rig.extended(PLAIN, {**EFFECTS, **stiff}), len(VELOCITY))
+    build_loop = partial(RungeKutta(1e-7).build_loop, blind=True)
+
+    def together(rigs, v):
+        paths = follow_together(build_loop, rigs, v, 400)
+        return jax.vmap(lambda path: path.read(jnp.asarray(T), jnp.asarray(T)))(paths), paths.end
+
+    compiled = jax.jit(together, compiler_options=OPTIONS)
+    (force, position), end = compiled(real, jnp.asarray(VELOCITY))
+    assert np.isfinite(force).all() and np.isfinite(position).all()
+    assert np.asarray(end.over).all() and not np.asarray(end.lost_track).any()

@@ -90,7 +90,7 @@ def prepare_data(
     if reduction is None:
         noise = np.full((n, 2), np.nan) if noise is None else noise
         data, counts, open_ = _stack_table(measured, noise)
-        left_out, kind = (PRESLIDING,), SLIDES if slides else TABLE
+        left_out, kind = ((PRESLIDING,), SLIDES) if slides else ((), TABLE)
     else:
         values = parameters.values(rig)
         frequency = np.sqrt(float(values["k_N_per_m"]) / mass.min())
@@ -202,8 +202,6 @@ def _list_impossible(
     `mass` (n,) [kg]; `span` is how far apart the pushes are in order.
     """
     out: dict[str, str] = {}
-    if reduction is None:
-        out[PRESLIDING] = "bristles are looked for in recordings only"
     if slides:
         some = (*CATALOGUE, RATIO)
         out = dict.fromkeys(some, "free slides have no push, and no known place on the rails")

@@ -14,11 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.diagnosis.data import choose_subset
-from difffric.diagnosis.score_test import Score, compute_p_value, step_off_null
+from difffric.diagnosis.lack_of_fit import is_misfit_large
+from difffric.diagnosis.score_test import SIGNIFICANT, Score, compute_p_value, step_off_null
 from difffric.diagnosis.shape_scan import SHAPED, is_within_travel, scan_shapes
 from difffric.diagnosis.starting_values import list_starting_values
 from difffric.estimation import ensemble, ensemble_refits
 from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.extended_model import PRESLIDING
 from difffric.rig.catalogue import RATIO, numbers_of
 from difffric.rig.scales import Scales
 
@@ -111,6 +113,25 @@ def explore(
             one = fits.pick([j])
             found.append(CandidateCause(effect, one, drop, predicted, p_value, drop - price))
     return sorted(found, key=lambda cause: -cause.penalised_drop)
+
+
+def explore_bristles(
+    task: EnsembleTask, base: Fits, scales: Scales, looked_for: int, least: float
+) -> CandidateCause | None:
+    """Return bristles on top of `base`, the plain fit, where they bring -2 log likelihood below
+    `least` and leave no large misfit; `looked_for` is the number of effects that are looked for.
+
+    They have no null, and take a program of their own.
+    """
+    if not is_promising(task, base, PRESLIDING, scales):
+        return None
+    found = explore(task, base, [PRESLIDING], scales, {}, far=True)
+    for best in found:
+        if float(ensemble.criterion(task, best.fits)[0]) < least:
+            p_value = compute_p_value(PRESLIDING, best.drop, looked_for)
+            sure = p_value <= SIGNIFICANT and not is_misfit_large(task, best.fits)
+            return replace(best, p_value=p_value) if sure else None
+    return None
 
 
 def is_promising(task: EnsembleTask, base: Fits, effect: str, scales: Scales) -> bool:

@@ -37,11 +37,11 @@ from difffric.diagnosis.combinations.cause_rounds import CauseRounds
 from difffric.diagnosis.combinations.explanation import explain_table
 from difffric.diagnosis.conclusion import Findings, NamedCause, conclude
 from difffric.diagnosis.cross_validation import CrossValidation, assign_folds
-from difffric.diagnosis.exploration import CandidateCause, explore, is_promising
+from difffric.diagnosis.exploration import CandidateCause, explore_bristles
 from difffric.diagnosis.extended_setup import describe_plain
 from difffric.diagnosis.impossible_measurements import find_unreachable
 from difffric.diagnosis.inferred.changes import measure_changes
-from difffric.diagnosis.lack_of_fit import LackOfFit, is_misfit_large, measure_lack_of_fit
+from difffric.diagnosis.lack_of_fit import LackOfFit, measure_lack_of_fit
 from difffric.diagnosis.score_test import SIGNIFICANT, Score, compute_p_value, run_score_tests
 from difffric.diagnosis.start import (
     SearchStart,
@@ -73,6 +73,8 @@ _FEWEST = 3
 """Pushes from which on one can be held out."""
 _ROUNDS = 40
 """Steps at most of a refit with a combination of causes."""
+_LIKE_BRISTLES = ("friction_patch", "friction_ratio")
+"""Effects that stiff bristles are taken for."""
 _LIKE_FRICTION = "normal_force"
 """The effect that is one with mu_s where every push has the same mass."""
 _ROUNDS_WITHOUT = 6
@@ -279,8 +281,9 @@ class _CauseSearch(CauseRounds):
             # What a curve changes by less than matters is left, and is told as what is left.
             self.explained = not compared.is_outside or compared.change < self.matters
             self.curves = (compared.best,)
-        poor = found.evidence.excess > MOST_EXCESS or self.explained is False
-        if PRESLIDING in wanted and poor and self._add_bristles(len(wanted)):
+        poor = found.evidence.excess > MOST_EXCESS or self.explained is False or len(items) > 1
+        like = any(item.effect in _LIKE_BRISTLES for item in items)
+        if PRESLIDING in wanted and (poor or like) and self._add_bristles([base, found.joint]):
             return
         self.base = self.whole = base
         if items and self.tell is not silent:
@@ -322,25 +325,19 @@ class _CauseSearch(CauseRounds):
         others = compare_rivals(found.data.task, self.base, found, items, one, by_fits)
         self.named.append(NamedCause(one, others, without))
 
-    def _add_bristles(self, looked_for: int) -> bool:
-        """Add bristles, which have no null and take a program of their own that takes long, where
-        they explain what nothing else does; whether they do."""
-        task, scales = self.start.data.task, self.start.data.scales
-        strong = is_misfit_large(task, self.plain)
-        if not strong or not is_promising(task, self.plain, PRESLIDING, scales):
-            return False
+    def _add_bristles(self, rivals: Sequence[Fits]) -> bool:
+        """Add bristles where they alone explain more than each of the `rivals`; whether they do."""
+        data, plain = self.start.data, self.plain
         self.tell("looking for bristles", 0.65)
-        found = explore(task, self.plain, [PRESLIDING], scales, {}, far=strong)
-        if not found:
+        numbers = len(plain.extra[0]) + len(numbers_of(PRESLIDING))
+        more = data.task.price * np.array([len(one.extra[0]) - numbers for one in rivals])
+        least = float((ensemble.criterion(data.task, ensemble.join(*rivals)) + more).min())
+        one = explore_bristles(data.task, plain, data.scales, len(data.looked_for), least)
+        if one is None:
             return False
-        best = found[0]
-        p_value = compute_p_value(PRESLIDING, best.drop, looked_for)
-        if p_value > SIGNIFICANT or is_misfit_large(task, best.fits):
-            return False
-        one = replace(best, p_value=p_value)
-        self.base = self.whole = best.fits
-        self.named, self.considered = [NamedCause(one, (one,), self.plain)], [one]
-        self.total, self.explained = max(self.lack.excess, best.drop), True
+        self.base = self.whole = one.fits
+        self.named, self.considered = [NamedCause(one, (one,), plain)], [one]
+        self.total, self.explained = max(self.lack.excess, one.drop), True
         return True
 
     def _find_unseen(self) -> float:

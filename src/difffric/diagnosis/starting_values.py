@@ -63,7 +63,7 @@ def _grid_of(effect: str, s: Scales) -> Iterable[ArrayLike]:
         case "static_dwell":
             return np.geomspace(0.005, 0.2, 12)
         case "presliding":
-            return [(x, 0.4 * np.sqrt(x * s.mass)) for x in (1e6, 3e6, 1e7, 3e7)]
+            return [(x, 0.4 * np.sqrt(x * s.mass)) for x in (1e6, 3e6, 1e7, 3e7, 1e8, 3e8)]
         case "rebound_damping":
             return [x * np.sqrt(s.mass * s.peak / s.compression) for x in (0.06, 0.25, 0.8)]
         case "contact_hardening":

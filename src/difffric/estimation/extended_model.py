@@ -43,7 +43,7 @@ VALUES = 16
 """The same where no derivatives are asked for: fewer take no less time, more no less for each."""
 CHUNK = 128
 """Instants that are read at once: what they need stays in a core's own memory."""
-STEPS, BENT_STEPS = 1000, 6000
+STEPS, BENT_STEPS = 1000, 2000
 """Steps of the integrator that a push may take, and with bristles, which swing until they rest."""
 TOLERANCE = 1e-7
 """The integrator's tolerance of a step: far below what measured pushes let see."""

@@ -297,6 +297,10 @@ class Presliding(AbstractFrictionEffect):
         rest = way * (self.law.sliding(way * u, F_N) - slip)
         return held + self.sigma_1 * dq + rest, dq
 
+    def find_yield(self, way: Number, F_N: Number) -> Number:
+        """The deflection [m] at which bristles slip, where u has the sign `way`."""
+        return way * self.law.sliding(xp.zeros_like(way), F_N) * self.compliance
+
     @property
     def stiffness(self) -> Number:
         """sigma_0 [N/m]."""

@@ -63,6 +63,8 @@ class Course(NamedTuple):
     """corners of the pusher's speed that lie behind: where its ramp ended, for example"""
     way: Float[Array, ""]
     """1 where the part moves forwards, -1 where bristles push it back"""
+    slipped: Bool[Array, ""] | Any = None
+    """whether bristles are bent as far as they go, and slip; None: there are none"""
 
 
 class Motion(NamedTuple):
@@ -91,6 +93,12 @@ class Motion(NamedTuple):
     def load(self, course: Course, s: PhasePoint) -> Float[Array, ""] | float:
         """Normal force at the part's place [N]."""
         return self.rig.load(self.position(s), course.beyond)
+
+    def deflection(self, course: Course, s: PhasePoint) -> Float[Array, ""]:
+        """The bristles' deflection [m]. Where they slip it follows the load: how they come to slip
+        would be stiff, and is over within some micrometres."""
+        slips = self.bristles.find_yield(course.way, self.load(course, s))
+        return jnp.where(course.slipped, slips, s.q)
 
     def breakaway(self, course: Course, s: PhasePoint) -> Float[Array, ""] | float:
         """The contact force at which a part at rest starts to slide [N]."""
@@ -125,8 +133,9 @@ class Motion(NamedTuple):
         load = self.load(course, s)
         held = course.mode == Mode.STUCK
         if self.bristles is not None:
-            drag, dq = self.bristles.bend(s.u, course.way, s.q, load)
-            dq = jnp.where(held, 0.0, dq)
+            q = self.deflection(course, s)
+            drag, dq = self.bristles.bend(s.u, course.way, q, load)
+            dq = jnp.where(held | course.slipped, 0.0, dq)
         elif friction.continues:
             drag, dq = friction.sliding(s.u, load), None
         else:

@@ -11,7 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from difffric.errors import InputError
-from difffric.rig import catalogue
+from difffric.rig import catalogue, parameters
 from difffric.rig.contact import AbstractContact
 from difffric.rig.friction import AbstractFriction
 from difffric.rig.pusher import ConstantSpeed
@@ -19,7 +19,7 @@ from difffric.rig.rig import Rig, spring_damper_rig
 from difffric.simulation.closed_form import ClosedForm
 from difffric.simulation.diffrax_reference import Diffrax
 from difffric.simulation.events import Reason
-from difffric.simulation.observables import observe
+from difffric.simulation.observables import observe, observe_steps
 from difffric.simulation.stepping.integrator import RungeKutta
 from tests.effect_rigs import OPTIONS
 
@@ -384,3 +384,32 @@ def test_a_push_that_cannot_be_followed_says_so():
         seen = observe(rig, 0.05, integrator)
         assert jnp.isnan(seen.peak_force) and jnp.isnan(seen.sliding_distance)
         assert "could not be integrated" in Reason(int(seen.reason)).text
+
+
+def test_bristles_of_any_stiffness_are_followed_in_as_many_steps():
+    """They approach the plain rig with mu_s = mu_k as sigma_0^(-1/2), and a looser tolerance errs
+    by no more than it says."""
+    plain = spring_damper_rig(mass=18.9, mu_s=0.141, k=8e5, b=1500.0, k_v=5.0, stroke=2e-3)
+    stiffness = jnp.array([1e6, 1e8, 1e9, 1e10])
+
+    def push(sigma_0, v, tol):
+        damping = 0.4 * jnp.sqrt(sigma_0 * 18.9)
+        sizes = {"sigma_0_N_per_m": sigma_0, "sigma_1_N_s_per_m": damping}
+        loop = RungeKutta(tol).build_loop(catalogue.extended(plain, {"presliding": sizes}), v, True)
+        end = loop.run()
+        seen = observe_steps(loop, end)
+        return end.steps, jnp.stack([seen.peak_force, seen.sliding_distance])
+
+    def follow(tol):
+        each = jax.vmap(lambda s: push(s, 0.05, tol))
+        return jax.jit(each, compiler_options=OPTIONS)(stiffness)
+
+    steps, found = follow(1e-7)
+    assert steps.max() < 1.2 * steps.min()
+    np.testing.assert_allclose(found, follow(1e-11)[1], rtol=1e-6)
+    alike = catalogue.extended(plain, {})
+    alike = parameters.with_values(alike, {"mu_k_over_mu_s": 1.0, "mu_s": 0.75 * 0.141})
+    seen = observe(alike, 0.05, ClosedForm())
+    limit = jnp.stack([seen.peak_force, seen.sliding_distance])
+    away = jnp.abs(found / limit - 1)
+    np.testing.assert_allclose(away[2:] / away[1:-1], 10**-0.5, rtol=0.1)

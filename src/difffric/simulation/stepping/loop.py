@@ -43,6 +43,8 @@ _LOOSELY_CLOSE, _NOT_FAR = 10.0, 0.1
 to this share of the step itself."""
 _CAUGHT, _LET_GO = 0.55, 0.1
 """Of the push's own time: the first step of a part that is caught, at most, or let go, at least."""
+_SLIPPING = 10.0
+"""What is left for bristles to bend, as a share and in units of the tolerance, where they slip."""
 _MOST_GROWTH = 6.0
 """By how much a step may be longer than the one before."""
 _LOOKS = np.arange(1, 8) / 8
@@ -148,6 +150,7 @@ class StepLoop(NamedTuple):
             beyond=no,
             corners=jnp.asarray(rig.pusher.corner(v, 0) <= 0, int),
             way=jnp.ones(()),
+            slipped=None if bristles is None else no,
         )
         # At rest on its bristles, which hold it against the slope.
         q = None if bristles is None else -rig.slope / bristles.stiffness + zero
@@ -328,6 +331,8 @@ class StepLoop(NamedTuple):
         kept = jnp.maximum(m.h, jnp.where(plan.at_once, 0.0, plan.h))
         event = jnp.where(arrived, outcome.crossing.event, Event.NONE)
         done = self.rules.pass_event(m, event, at, end.rate.u)
+        if self.motion.bristles is not None:
+            done = done._replace(course=self._note_slip(done.course, done.s))
         # How long a part waits at rest says nothing of how it then moves.
         waits = (m.course.mode == Mode.STUCK) & (plan.h < m.h)
         h = jnp.where(arrived | plan.at_once | plan.aims | waits, kept, plan.h * grow)
@@ -336,6 +341,12 @@ class StepLoop(NamedTuple):
             peak=jnp.where(higher, force, m.peak),
             peak_contact=jnp.where(higher, m.contacts, m.peak_contact),
         )
+
+    def _note_slip(self, c: Course, s: PhasePoint) -> Course:
+        """The course with whether bristles slip: once they are bent nearly as far as they go."""
+        slips = self.motion.bristles.find_yield(c.way, self.motion.load(c, s))
+        left = stop_gradient(1.0 - s.q / slips)
+        return c._replace(slipped=c.slipped | (left < _SLIPPING * self.tol))
 
     def _begin_anew(self, event: Array, before: Array, after: Array, h: Array) -> Array:
         """The next step [s], of a size that fits what an event begins: h is the one before it."""
@@ -346,7 +357,11 @@ class StepLoop(NamedTuple):
         h = jnp.where(let_go, jnp.maximum(h, _LET_GO * time), h)
         lag = stop_gradient(jnp.asarray(self.motion.rig.pusher.lag(), float))
         stops = (event == Event.STOP) & (lag > 0)
-        return jnp.where(stops, jnp.minimum(h, lag), h)
+        h = jnp.where(stops, jnp.minimum(h, lag), h)
+        if self.motion.bristles is None:
+            return h
+        swing = stop_gradient(jnp.sqrt(self.motion.rig.mass / self.motion.bristles.stiffness))
+        return jnp.where(event == Event.HALT, jnp.minimum(h, swing), h)
 
     def _try_again(self, m: LoopState, plan: StepPlan, outcome: _Outcome) -> LoopState:
         """The state before the same step, which is to end on the event that it went beyond, or to

@@ -138,10 +138,17 @@ def follow_together(
         new, stride = here.step(m, record=True)
         assert stride is not None
         # A step that is taken again has the time of the next one, which is found in its place;
-        # filters pass over it.
+        # filters pass over it. It stands still, as it may have led to no number at all.
         taken = on & (new.strides > m.strides)
+
+        def rest(powers):
+            return powers[0], *(jnp.where(taken, a, 0.0) for a in powers[1:])
+
         return select(on, new, m), stride._replace(
-            t=jnp.where(on, stride.t, jnp.inf), end=jnp.where(taken, stride.end, 0.0)
+            t=jnp.where(on, stride.t, jnp.inf),
+            end=jnp.where(taken, stride.end, 0.0),
+            x=rest(stride.x),
+            y=rest(stride.y),
         )
 
     # Run loop by loop, starting the loops would cost more than what is in them.

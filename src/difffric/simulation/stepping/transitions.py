@@ -83,7 +83,10 @@ def halt_on_bristles(
     # Before a standing tip the part turns where it halts.
     both = (at.is_of(Event.TURN) | halts) & (dy <= 0)
     ahead = a > 0
-    course = course._replace(way=jnp.where(halts | both, jnp.where(ahead, 1.0, -1.0), course.way))
+    course = course._replace(
+        way=jnp.where(halts | both, jnp.where(ahead, 1.0, -1.0), course.way),
+        slipped=course.slipped & ~(halts | both),
+    )
     turned = jnp.where(ahead, Mode.REBOUNDING, Mode.CLOSING)
     return jnp.where(both & course.touching, turned, new), course
 
@@ -168,6 +171,8 @@ class Rules(NamedTuple):
         at = Passage(event, m.course.mode)
         V, dy = self.motion.tip(m.course, s)
         s = self._place(at, s, dy)
+        if self.motion.bristles is not None:
+            s = s._replace(q=self.motion.deflection(m.course, s))
         c = self._note_event(at, m.course, s, V)
         _, dy = self.motion.tip(c, s)
         new, c = self._change_mode(at, c, s, dy, a)
