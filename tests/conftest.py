@@ -45,11 +45,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 if "XLA_FLAGS" not in os.environ:  # the workers have it of the process that starts them
     os.environ["XLA_FLAGS"] = COMPILER if _are_known(COMPILER) else ""
 
-settings.register_profile("same", derandomize=True)
-settings.register_profile("random")
+settings.register_profile("same", derandomize=True, deadline=None)
+settings.register_profile("random", deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 """The same inputs on every run, so that a failure is the change's; `HYPOTHESIS_PROFILE=random`
-draws others."""
+draws others. No deadline: beside others a quick test may wait half a second."""
 
 LONGEST = (
     "procedure",

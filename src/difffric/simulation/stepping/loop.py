@@ -45,12 +45,12 @@ _CAUGHT, _LET_GO = 0.55, 0.1
 """Of the push's own time: the first step of a part that is caught, at most, or let go, at least."""
 _SLIPPING = 10.0
 """What is left for bristles to bend, as a share and in units of the tolerance, where they slip."""
-_MOST_GROWTH = 6.0
-"""By how much a step may be longer than the one before."""
-_LOOKS = np.arange(1, 8) / 8
+_MOST_GROWTH = 4.0
+"""By how much a step may be longer than the one before: with 6 a part that is let go within the
+spring's reach was caught again unseen."""
+_LOOKS, _HIGH = np.arange(1, 8) / 8, 0.95
 """Shares of a step at which the force is looked at, and how high it must be there, as a share of
 the highest so far, to be followed to its summit."""
-_HIGH = 0.95
 
 
 class _StepEnd(NamedTuple):
