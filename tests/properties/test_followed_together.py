@@ -27,18 +27,24 @@ def rigs():
 T = np.linspace(-1e-3, 0.2, 300)
 
 
-@pytest.fixture(scope="module")
-def paths_until():
-    """A function of a time: (force, position) of each push at T, followed together to that time,
-    and where each ends."""
-    build_loop = partial(RungeKutta().build_loop, blind=True)
+def compile_follower(tolerance=1e-10):
+    """A function of (rigs, until): force and position of each push at T, followed together to that
+    time, and where each ends."""
+    build_loop, t = partial(RungeKutta(tolerance).build_loop, blind=True), jnp.asarray(T)
 
     def together(rigs, v, until):
         paths = follow_together(build_loop, rigs, v, 400, until)
-        return jax.vmap(lambda path: path.read(jnp.asarray(T), jnp.asarray(T)))(paths), paths.end
+        return jax.vmap(lambda path: path.read(t, t))(paths), paths.end
 
     compiled = jax.jit(together, compiler_options=OPTIONS)
-    return lambda until: compiled(rigs(), jnp.asarray(VELOCITY), jnp.asarray(until))
+    return lambda rigs, until=np.inf: compiled(rigs, jnp.asarray(VELOCITY), jnp.asarray(until))
+
+
+@pytest.fixture(scope="module")
+def paths_until():
+    """A function of a time to which the pushes are followed."""
+    follower = compile_follower()
+    return lambda until: follower(rigs(), until)
 
 
 @pytest.fixture(scope="module")
@@ -73,14 +79,7 @@ def test_a_push_that_is_followed_to_a_time_is_the_whole_push_until_then(paths_un
 
 
 def test_a_looser_tolerance_takes_fewer_steps_and_errs_by_less_than_is_seen(readings):
-    build_loop = partial(RungeKutta(1e-7).build_loop, blind=True)
-
-    def follow_all(rigs, v):
-        paths = follow_together(build_loop, rigs, v, 400)
-        return jax.vmap(lambda path: path.read(jnp.asarray(T), jnp.asarray(T)))(paths), paths.end
-
-    compiled = jax.jit(follow_all, compiler_options=OPTIONS)
-    found, end = compiled(rigs(), jnp.asarray(VELOCITY))
+    found, end = compile_follower(1e-7)(rigs())
     for loose, exact in zip(found, readings[0], strict=True):
         size = np.abs(exact).max()
         np.testing.assert_allclose(loose, exact, atol=1e-5 * size, rtol=0)
@@ -110,13 +109,6 @@ def test_a_step_that_led_to_no_number_is_not_read():
     """The first step of stiff bristles is far too long: what it led to is no number."""
     stiff = {"presliding": {"sigma_0_N_per_m": 1e9, "sigma_1_N_s_per_m": 5e4}}
     real = pytrees.replicate(df.rig.extended(PLAIN, {**EFFECTS, **stiff}), len(VELOCITY))
-    build_loop = partial(RungeKutta(1e-7).build_loop, blind=True)
-
-    def together(rigs, v):
-        paths = follow_together(build_loop, rigs, v, 400)
-        return jax.vmap(lambda path: path.read(jnp.asarray(T), jnp.asarray(T)))(paths), paths.end
-
-    compiled = jax.jit(together, compiler_options=OPTIONS)
-    (force, position), end = compiled(real, jnp.asarray(VELOCITY))
+    (force, position), end = compile_follower(1e-7)(real)
     assert np.isfinite(force).all() and np.isfinite(position).all()
     assert np.asarray(end.over).all() and not np.asarray(end.lost_track).any()
