@@ -193,12 +193,19 @@ def limit_time(seconds: float) -> Iterator[None]:
     try:
         yield
     except SystemError as error:  # a compiled function may not pass on what was raised in it
-        if not isinstance(error.__cause__, TimeoutError):
+        if not any(isinstance(x, TimeoutError) for x in _list_causes(error)):
             raise
         raise TimeoutError(f"takes longer than {seconds:g} s") from error
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
+
+
+def _list_causes(error: BaseException) -> Iterator[BaseException]:
+    """What an error was raised from, and so on."""
+    while error.__cause__ is not None:
+        error = error.__cause__
+        yield error
 
 
 def _find_friction(case: cases.Case) -> np.ndarray:

@@ -20,6 +20,11 @@ _ANEW = 5
 _JUMP = 3.0
 """Standard deviations of chi-square beyond the fit's, from which a prediction may be on another
 branch of its own mu_s."""
+_FEW = 0.25
+"""Share of the pushes up to which those that are predicted so badly may be beside a jump, however
+well each tells its own mu_s: more of them tell of a poor fit."""
+_BESIDE = np.linspace(-0.015, 0.015, 13)
+"""The own log mu_s that are tried in such a push, beside where it is fitted."""
 
 
 class HeldOut(NamedTuple):
@@ -60,21 +65,27 @@ def predict_held_out(task: EnsembleTask, fits: Fits, folds: NDArray) -> HeldOut:
         at = refits.place_at(task, fits, now + refits.solve_within(H, g, now, *limits))
         c[:, out], mu[:, out] = at.c[:, None], at.mu[:, task.condition[out]]
         noise[:, :, out] = _foresee_squares(task, H, H_i[:, out], np.flatnonzero(out))
-    start = _keep_friction(task, fits, mu)
-    found = _predict(task, start, c, mu, noise)
     seen = np.einsum("mnk,mk->mn", fits.gram[..., -1, -1], 1.0 / fits.spread**2)
-    numbers = task.counts.sum(axis=1)
-    jumps = found.squares > seen + _JUMP * np.sqrt(2 * numbers)
-    branches = _choose_branches(task, start, jumps, c, mu)
-    if branches is not start:
-        start, found = branches, _predict(task, branches, c, mu, noise)
-    astray = found.squares > _ASTRAY * (seen + numbers)
+    found = _predict_on_branches(task, fits, seen, c, mu, noise)
+    astray = found.squares > _ASTRAY * (seen + task.counts.sum(axis=1))
     for j, fold in {(j, folds[i]) for j, i in np.argwhere(astray)}:
         out = folds == fold
         at = replace(fits.pick([j]), gram=None, residual=None, damping=None)
         at = refits.refit(task, at, _ANEW, np.flatnonzero(~out))
         c[j, out], mu[j, out] = at.c, at.mu[0, task.condition[out]]
-    return _predict(task, start, c, mu, noise) if astray.any() else found
+    return _predict_on_branches(task, fits, seen, c, mu, noise) if astray.any() else found
+
+
+def _predict_on_branches(
+    task: EnsembleTask, fits: Fits, seen: NDArray, c: NDArray, mu: NDArray, noise: NDArray
+) -> HeldOut:
+    """What pushes say at coordinates c (m, n, K) and log mu_s mu (m, n), each on the branch of its
+    own mu_s that suits it best; `seen` (m, n) are its squares where it is fitted."""
+    start = _keep_friction(task, fits, mu)
+    found = _predict(task, start, c, mu, noise)
+    jumps = found.squares > seen + _JUMP * np.sqrt(2 * task.counts.sum(axis=1))
+    branches = _choose_branches(task, start, jumps, c, mu)
+    return found if branches is start else _predict(task, branches, c, mu, noise)
 
 
 def _keep_friction(task: EnsembleTask, fits: Fits, mu: NDArray) -> Fits:
@@ -101,12 +112,15 @@ def _choose_branches(
     task: EnsembleTask, fits: Fits, asked: NDArray, c: NDArray, mu: NDArray
 ) -> Fits:
     """The fits with the own mu_s that is best at coordinates c (m, n, K) and log mu_s mu (m, n), of
-    those pushes `asked` (m, n) that hardly tell it."""
+    those pushes `asked` (m, n) that hardly tell it, or that are few."""
     error = refits.compute_own_errors(fits)
-    j, i = np.nonzero(asked & (error > refits.LOOSE))
+    few = asked.mean(axis=1, keepdims=True) <= _FEW
+    j, i = np.nonzero(asked & (few | (error > refits.LOOSE)))
     if not task.mu_free or not len(j):
         return fits
-    tried = refits.make_own_grid(fits, error)[j, i]
+    loose = (error > refits.LOOSE)[j, i, None]
+    beside = fits.own[j, i, None] + _BESIDE
+    tried = np.where(loose, refits.make_own_grid(fits, error)[j, i], beside)
     value = refits.sum_squares_at(task, fits, j, i, c[j, i], mu[j, i], tried)
     value = value + (tried / fits.scatter[j, None]) ** 2
     own = fits.own.copy()
