@@ -38,6 +38,10 @@ _ALWAYS_KEPT = 3
 """Leaders that are refitted to the end, however little they explain by then."""
 _FAIR_SHARE = 0.3
 """Share of what the best explains from which further ones are refitted to the end, too."""
+_PURSUED = 20
+"""Fits of a scan that are followed beyond their first step."""
+_BENT = 0.02
+"""The scatter of mu_s from which the pushes' own may hide a strong effect."""
 _RESCANNED = 14
 """Fits of a scan whose pushes' own mu_s are looked for afresh."""
 
@@ -177,7 +181,12 @@ def _search_near(search: _EffectSearch) -> tuple[Fits, list[str]]:
     for effect in dict.fromkeys(behind):
         mine = np.array([j for j, x in enumerate(behind) if x == effect])
         keep += mine[np.argsort(promised[mine])[:2]].tolist()
-    fits, behind = ensemble_refits.refit(task, fits.pick(keep), 3), [behind[j] for j in keep]
+    fits, behind = ensemble_refits.refit(task, fits.pick(keep), 1), [behind[j] for j in keep]
+    _, promised = _predict_cost(task, fits)
+    blind = np.array([search.is_blind(effect) for effect in behind])
+    most = set(np.argsort(promised)[:_TESTED].tolist())
+    keep = sorted(most | set(np.flatnonzero(blind)[np.argsort(promised[blind])[:_TESTED]].tolist()))
+    fits, behind = ensemble_refits.refit(task, fits.pick(keep), 2), [behind[j] for j in keep]
     # What shows only where a push sticks is a matter of branches.
     jumps = [j for j, effect in enumerate(behind) if search.is_blind(effect)]
     if jumps:
@@ -220,7 +229,8 @@ def _scan_grids(search: _EffectSearch, some: NDArray) -> tuple[Fits, NDArray]:
     number of each fit's effect."""
     task, base, effects = search.task, search.base, search.effects
     # Beside a strong effect the plain fit has bent each push's own mu_s: start from equal ones too.
-    bases = [base, replace(base, own=np.zeros_like(base.own))] if task.mu_free else [base]
+    bent = task.mu_free and base.scatter[0] > _BENT
+    bases = [base, replace(base, own=np.zeros_like(base.own))] if bent else [base]
     starts = [_make_starts(task, at, e, search.scales, some) for at in bases for e in effects]
     origin = np.concatenate([np.full(one.m, k) for k, one in enumerate(starts)])
     fits, owner = ensemble.evaluate(task, ensemble.join(*starts), some), origin % len(effects)
@@ -228,11 +238,14 @@ def _scan_grids(search: _EffectSearch, some: NDArray) -> tuple[Fits, NDArray]:
     cost, promised = _predict_cost(task, fits)
     # Of each effect the best by what one step promises, and the best as it stands.
     chosen = set()
-    for k in dict.fromkeys(origin.tolist()):
-        mine = np.flatnonzero(origin == k)
-        chosen |= {mine[np.argmin(promised[mine])], mine[np.argmin(cost[mine])]}
+    for k in dict.fromkeys(owner.tolist()):
+        mine = np.flatnonzero(owner == k)
+        chosen |= {*mine[np.argsort(promised[mine])[: len(bases)]], mine[np.argmin(cost[mine])]}
     keep = np.array(sorted(chosen))
-    fits, owner = ensemble_refits.refit(task, fits.pick(keep), 3, some), owner[keep]
+    fits, owner = ensemble_refits.refit(task, fits.pick(keep), 1, some), owner[keep]
+    cost, promised = _predict_cost(task, fits)
+    keep = np.argsort(promised)[:_PURSUED]
+    fits, owner = ensemble_refits.refit(task, fits.pick(keep), 2, some), owner[keep]
     search.tell(0.5)
     first = np.argsort(ensemble.profile_cost(task, fits))[:_RESCANNED]
     fits, owner = ensemble_refits.rescan_bad_pushes(task, fits.pick(first), some), owner[first]

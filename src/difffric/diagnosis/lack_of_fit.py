@@ -15,6 +15,8 @@ BINS = 12
 _LINEAR = 0.3
 """Excess of chi-square over what noise would leave, as a share of that, up to which an effect is
 taken for so small that the answers are linear in it."""
+_BY_CHANCE = 3.0
+"""Standard deviations of chi-square by which it may be larger than noise would leave."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,8 @@ def is_misfit_large(task: EnsembleTask, fits: Fits) -> bool:
     """Whether a fit (an ensemble of one) leaves so much, relative to the noise, that what is
     linear at an effect's null is not to be trusted; or nothing is known of the noise."""
     left = measure_lack_of_fit(task, fits)
-    return left.p_value is None or left.excess > _LINEAR * left.expected
+    by_chance = _BY_CHANCE * np.sqrt(2 * left.expected)  # of a table's few numbers
+    return left.p_value is None or left.excess > _LINEAR * left.expected + by_chance
 
 
 def measure_lack_of_fit(task: EnsembleTask, fits: Fits) -> LackOfFit:

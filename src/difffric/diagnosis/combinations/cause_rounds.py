@@ -26,6 +26,8 @@ _ADDED = 6
 """Effects that are added at most, those that turn out not to matter among them."""
 _RESTARTS = 3
 """How often a round begins anew where the fit that it extends turns out not to be the best."""
+_HIDING = 0.05
+"""The scatter of mu_s beyond which it hides a misfit."""
 _NOTHING_LEFT = 0.01
 """Probability above which neither a misfit nor a score test calls for another round."""
 _ROUNDS = 40
@@ -135,10 +137,12 @@ class CauseRounds:
         """Return the leading effects on top of the base, the best first.
 
         Bristles have no null, and take a program of their own that takes long: they are looked for
-        where the misfit is large, no other effect explains it and they might.
+        where the misfit is known to be large, no other effect explains it and they might.
         """
         task, scales, base = self.start.data.task, self.start.data.scales, self.base
-        strong = is_misfit_large(task, base)
+        strong, known = is_misfit_large(task, base), not any(task.open_spread)
+        strong &= known or not self.considered  # where no noise is known, once
+        strong |= float(base.scatter[0]) > _HIDING
 
         def explore_part(effects: Sequence[str], part: float) -> list[CandidateCause]:
             def tell(share: float) -> None:
@@ -147,7 +151,7 @@ class CauseRounds:
             return explore(task, base, effects, scales, scores, tell, strong)
 
         found = explore_part([e for e in wanted if e != PRESLIDING], 0.8)
-        unexplained = strong and all(is_misfit_large(task, c.fits) for c in found)
+        unexplained = strong and known and all(is_misfit_large(task, c.fits) for c in found)
         if PRESLIDING in wanted and unexplained and is_promising(task, base, PRESLIDING, scales):
             found += explore_part([PRESLIDING], 1.0)
         return sorted(found, key=lambda c: -c.penalised_drop)
