@@ -1,6 +1,6 @@
 """Which pushes are held out together, and what is predicted of them."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +10,9 @@ from difffric.diagnosis import cross_validation
 from difffric.diagnosis.cross_validation import CrossValidation, assign_folds
 from difffric.estimation import ensemble_refits, held_out
 from difffric.estimation.ensemble import Fits
-from tests.unit.diagnosis.linear_rig import make_task, start
+from tests.unit.diagnosis.linear_rig import LinearModel, make_task, start
+
+FOLDS = np.arange(10)
 
 
 def test_pushes_of_one_speed_are_held_out_together_or_each_alone():
@@ -83,3 +85,35 @@ def test_without_a_known_noise_nothing_is_said_of_the_floor():
     at = ensemble_refits.refit(task, start(task, 0.01), 5)
     validation = CrossValidation(task, np.arange(10))
     assert validation.measure_floor_p_value(at) is None and validation.is_at_floor(at)
+
+
+@dataclass
+class JumpingModel(LinearModel):
+    """The same whose first push jumps by a thousand times its noise where its log mu_s is beyond an
+    edge."""
+
+    edge: float = np.inf
+
+    def answers(self, index, c, directions, keep_rows=False):
+        """As `ExtendedModel.answers`."""
+        beyond = (np.asarray(index) == 0) & (c[:, 0] > self.edge)
+        here = replace(self, measured=self.measured[index] - 1000.0 * beyond[:, None])
+        here.slopes = self.slopes[index]
+        return LinearModel.answers(here, np.arange(len(c)), c, directions, keep_rows)
+
+
+def test_a_held_out_push_beside_a_jump_is_looked_for_on_its_other_side():
+    rng = np.random.default_rng(3)
+    task = draw_task(rng, 0.01)
+    sharp = task.model.slopes.copy()  # type: ignore[attr-defined]
+    sharp[:, :, 0] = 1e4  # each push tells its own mu_s to a part in ten thousand
+    own = 0.01 * rng.standard_normal(10)
+    measured = 1e4 * own[:, None] + rng.standard_normal((10, 2))
+    model = JumpingModel(sharp, measured, ("k", "b"), edge=own[0] + 0.001)
+    task = replace(task, model=model)
+    at = ensemble_refits.refit(task, start(task, 0.01), 5)
+    moved = at.own.copy()
+    moved[0, 0] += 0.005  # where a fit to the others may have led
+    smooth = held_out.predict_held_out(replace(task, model=replace(model, edge=np.inf)), at, FOLDS)
+    found = held_out.predict_held_out(task, replace(at, own=moved), FOLDS)
+    assert found.squares[0] == pytest.approx(smooth.squares[0], rel=0.02)
