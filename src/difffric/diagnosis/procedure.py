@@ -67,8 +67,8 @@ MATTERS = 0.005
 """Share of mu_s by which a cause must change what is inferred to be one: a third of the scatter
 of a good rig from push to push."""
 _SURELY = 3.0
-"""Times what matters by which an effect that is no larger than in any rig must change F_p or d to
-be a cause: where pushes are on an edge a little does so."""
+"""How many times as much as the small effects of its rig an effect that may be one of them must
+change F_p or d to be a cause: where pushes are on an edge a little does so."""
 _FEWEST = 3
 """Pushes from which on one can be held out."""
 _ROUNDS = 40
@@ -354,7 +354,9 @@ class _CauseSearch(CauseRounds):
         task = self.start.data.task
         changes = measure_changes(task, one.without, at, one.best.effect)
         if one.best.effect in self.usual:  # mu_s differs by what others do in its place
-            return max(changes.peak_force, changes.sliding_distance) >= _SURELY * self.matters
+            small = max(self.share, USUAL_SHARE) * UNIT_CHANGE
+            least = max(_SURELY * small, self.matters)
+            return max(changes.peak_force, changes.sliding_distance) >= least
         return changes.as_mu_s >= self.matters
 
     def _list_wanted(self) -> list[str]:
