@@ -182,10 +182,10 @@ def _search_near(search: _EffectSearch) -> tuple[Fits, list[str]]:
         mine = np.array([j for j, x in enumerate(behind) if x == effect])
         keep += mine[np.argsort(promised[mine])[:2]].tolist()
     fits, behind = ensemble_refits.refit(task, fits.pick(keep), 1), [behind[j] for j in keep]
-    _, promised = _predict_cost(task, fits)
-    blind = np.array([search.is_blind(effect) for effect in behind])
-    most = set(np.argsort(promised)[:_TESTED].tolist())
-    keep = sorted(most | set(np.flatnonzero(blind)[np.argsort(promised[blind])[:_TESTED]].tolist()))
+    # The leaders, and those of the effects that a score test does not see.
+    order: list[int] = np.argsort(_predict_cost(task, fits)[1]).tolist()
+    blind = [j for j in order if search.is_blind(behind[j])]
+    keep = sorted({*order[:_TESTED], *blind[:_TESTED]})
     fits, behind = ensemble_refits.refit(task, fits.pick(keep), 2), [behind[j] for j in keep]
     # What shows only where a push sticks is a matter of branches.
     jumps = [j for j, effect in enumerate(behind) if search.is_blind(effect)]
@@ -243,8 +243,7 @@ def _scan_grids(search: _EffectSearch, some: NDArray) -> tuple[Fits, NDArray]:
         chosen |= {*mine[np.argsort(promised[mine])[: len(bases)]], mine[np.argmin(cost[mine])]}
     keep = np.array(sorted(chosen))
     fits, owner = ensemble_refits.refit(task, fits.pick(keep), 1, some), owner[keep]
-    cost, promised = _predict_cost(task, fits)
-    keep = np.argsort(promised)[:_PURSUED]
+    keep = np.argsort(_predict_cost(task, fits)[1])[:_PURSUED]
     fits, owner = ensemble_refits.refit(task, fits.pick(keep), 2, some), owner[keep]
     search.tell(0.5)
     first = np.argsort(ensemble.profile_cost(task, fits))[:_RESCANNED]

@@ -12,8 +12,6 @@ from difffric.estimation import ensemble_refits, held_out
 from difffric.estimation.ensemble import Fits
 from tests.unit.diagnosis.linear_rig import LinearModel, make_task, start
 
-FOLDS = np.arange(10)
-
 
 def test_pushes_of_one_speed_are_held_out_together_or_each_alone():
     velocity = np.array([0.05, 0.01, 0.05, 0.02])
@@ -98,13 +96,12 @@ class JumpingModel(LinearModel):
         """As `ExtendedModel.answers`."""
         beyond = (np.asarray(index) == 0) & (c[:, 0] > self.edge)
         apart = beyond[:, None] * np.array([1050.0, -950.0])  # and no small step back
-        here = replace(self, measured=self.measured[index] + apart)
-        here.slopes = self.slopes[index]
+        here = replace(self, slopes=self.slopes[index], measured=self.measured[index] + apart)
         return LinearModel.answers(here, np.arange(len(c)), c, directions, keep_rows)
 
 
 def test_a_held_out_push_beside_a_jump_is_looked_for_on_its_other_side():
-    rng = np.random.default_rng(3)
+    rng, folds = np.random.default_rng(3), np.arange(10)
     task = draw_task(rng, 0.01)
     sharp = task.model.slopes.copy()  # type: ignore[attr-defined]
     sharp[:, :, 0] = 1e4  # each push tells its own mu_s to a part in ten thousand
@@ -115,6 +112,6 @@ def test_a_held_out_push_beside_a_jump_is_looked_for_on_its_other_side():
     at = ensemble_refits.refit(task, start(task, 0.01), 5)
     moved = at.own.copy()
     moved[0, 0] += 0.005  # where a fit to the others may have led
-    smooth = held_out.predict_held_out(replace(task, model=replace(model, edge=np.inf)), at, FOLDS)
-    found = held_out.predict_held_out(task, replace(at, own=moved), FOLDS)
+    smooth = held_out.predict_held_out(replace(task, model=replace(model, edge=np.inf)), at, folds)
+    found = held_out.predict_held_out(task, replace(at, own=moved), folds)
     assert found.squares[0] == pytest.approx(smooth.squares[0], rel=0.02)
