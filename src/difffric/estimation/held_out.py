@@ -79,13 +79,16 @@ def predict_held_out(task: EnsembleTask, fits: Fits, folds: NDArray) -> HeldOut:
 def _predict_on_branches(
     task: EnsembleTask, fits: Fits, seen: NDArray, c: NDArray, mu: NDArray, noise: NDArray
 ) -> HeldOut:
-    """What pushes say at coordinates c (m, n, K) and log mu_s mu (m, n), each on the branch of its
-    own mu_s that suits it best; `seen` (m, n) are its squares where it is fitted."""
+    """What pushes say at coordinates c (m, n, K) and log mu_s mu (m, n), each on the better branch
+    of its own mu_s; `seen` (m, n) are its squares where it is fitted."""
     start = _keep_friction(task, fits, mu)
     found = _predict(task, start, c, mu, noise)
     jumps = found.squares > seen + _JUMP * np.sqrt(2 * task.counts.sum(axis=1))
     branches = _choose_branches(task, start, jumps, c, mu)
-    return found if branches is start else _predict(task, branches, c, mu, noise)
+    if branches is start:
+        return found
+    other = _predict(task, branches, c, mu, noise)
+    return HeldOut(*np.minimum(found[:3], other[:3]), *noise)
 
 
 def _keep_friction(task: EnsembleTask, fits: Fits, mu: NDArray) -> Fits:
