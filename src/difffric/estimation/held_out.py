@@ -17,6 +17,8 @@ _ASTRAY = 3.0
 lack of data."""
 _ANEW = 5
 """Rounds of a fit that is made anew for a push that is held out."""
+_ENOUGH = 1.0
+"""What such a fit may leave to gain in chi-square: it changes what is astray by no more."""
 _JUMP = 3.0
 """Standard deviations of chi-square beyond the fit's, from which a prediction may be on another
 branch of its own mu_s."""
@@ -70,10 +72,17 @@ def predict_held_out(task: EnsembleTask, fits: Fits, folds: NDArray) -> HeldOut:
     astray = found.squares > _ASTRAY * (seen + task.counts.sum(axis=1))
     for j, fold in {(j, folds[i]) for j, i in np.argwhere(astray)}:
         out = folds == fold
-        at = replace(fits.pick([j]), gram=None, residual=None, damping=None)
-        at = refits.refit(task, at, _ANEW, np.flatnonzero(~out))
+        at = replace(_forget_pushes(fits.pick([j]), out), damping=None)
+        at = refits.refit(task, at, _ANEW, np.flatnonzero(~out), tol=_ENOUGH)
         c[j, out], mu[j, out] = at.c, at.mu[0, task.condition[out]]
     return _predict_on_branches(task, fits, seen, c, mu, noise) if astray.any() else found
+
+
+def _forget_pushes(fits: Fits, out: NDArray) -> Fits:
+    """The fits as they stand, without what the pushes `out` (n,) answer."""
+    gram, residual = fits.gram.copy(), fits.residual.copy()
+    gram[:, out] = residual[:, out] = 0.0
+    return replace(fits, gram=gram, residual=residual)
 
 
 def _predict_on_branches(
