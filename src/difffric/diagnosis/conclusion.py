@@ -137,8 +137,8 @@ class Findings:
     unseen: float = 0.0
     """the relative change of mu_s by a small effect that no push can tell from it"""
     friction: tuple[np.ndarray, np.ndarray] | None = None
-    """the log mu_s (n,) of the pushes and their standard errors, where small effects are averaged
-    over; None: those of `whole`"""
+    """the log mu_s (n,) of the pushes and their standard errors, where small effects or sets of
+    causes are averaged over, NaN where that is no friction; None: those of `whole`"""
 
     @property
     def scale(self) -> float:
@@ -183,7 +183,7 @@ def conclude(found: Findings, tell: Tell) -> Diagnosis:
     unseen = _list_invisible(found, causes)
     ambiguous = causes if verdict == AMBIGUOUS else ()
     rig = extend_rig(strip_effects(found.setup)[0].rig, task, extended)
-    friction, errors = _infer_friction(found, whole)
+    friction, errors = _infer_friction(found, whole, location is None)
     errors = np.hypot(errors, _measure_ambiguity(task, causes))
     before = find_friction(task, plain)
     return Diagnosis(
@@ -220,19 +220,20 @@ def conclude(found: Findings, tell: Tell) -> Diagnosis:
     )
 
 
-def _infer_friction(found: Findings, at: Fits) -> tuple[np.ndarray, np.ndarray]:
+def _infer_friction(found: Findings, at: Fits, explained: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return the log mu_s (n,) of the pushes and their standard errors (n,), where the fit `at` (an
-    ensemble of one) is what the diagnosis says; small effects beside a plain model that leaves far
-    more than they do say more of mu_s than that alone."""
+    ensemble of one) is what the diagnosis says, and the misfit is `explained` or not; small effects
+    beside a plain model that leaves far more than they do say more of mu_s than that alone."""
     task = found.data.task
     left = [
         float(measure_lack_of_fit(task, fits).chi2.sum()) for fits in (found.plain, found.whole)
     ]
     if left[0] > _FAR_MORE * max(left[1], task.counts.sum()):
         at = found.whole
-    if found.friction is not None and at is not found.plain:
+    if found.friction is not None and (explained or at is not found.plain):
         friction, errors = found.friction
-        return friction, np.hypot(errors, found.unseen)
+        if np.isfinite(found.friction).all():
+            return friction, np.hypot(errors, found.unseen)
     named = {one.best.effect for one in (*found.causes, *found.slight)}
     known = {name.partition(".")[0] for name in strip_effects(found.setup)[1]}
     grown = DWELL_EFFECT in named | known

@@ -15,7 +15,7 @@ from difffric.compute.precision import require_float64
 from difffric.diagnosis.background.cause_sets import compute_price
 from difffric.diagnosis.background.evidence import PossibleCause
 from difffric.diagnosis.background.free_curves import compare_with_curves
-from difffric.diagnosis.background.friction_estimate import estimate_friction
+from difffric.diagnosis.background.friction_estimate import average_over_sets, estimate_friction
 from difffric.diagnosis.background.joint_search import ARRIVED, MOST_EXCESS
 from difffric.diagnosis.background.naming import (
     BACKGROUND,
@@ -155,7 +155,7 @@ class _CauseSearch(CauseRounds):
     share: float = 0.0
     """of their units by which small effects scatter"""
     friction: tuple[np.ndarray, np.ndarray] | None = None
-    """log mu_s of each push and its standard errors, where these effects are averaged over"""
+    """log mu_s of each push and its standard errors, averaged over what there may be"""
 
     @classmethod
     def begin(
@@ -297,10 +297,11 @@ class _CauseSearch(CauseRounds):
         if share > BACKGROUND:
             assumed, self.whole = fit_beside_background(data, found, items)
             if found.evidence.excess < ARRIVED:  # else no linear average is to be trusted
-                averaged = estimate_friction(found.evidence, items, USUAL_SHARE)
-                self.friction = averaged if np.isfinite(averaged).all() else None
+                self.friction = estimate_friction(found.evidence, items, USUAL_SHARE)
             self.start = replace(self.start, data=replace(data, task=assumed))
             self.validation = CrossValidation(assumed, self.validation.folds)
+        elif not items and found.evidence.excess < ARRIVED:
+            self.friction = average_over_sets(found.evidence, base, found.sets)
         for both in zip(items, p_values, strict=True):
             self._add_cause(found, items, *both)
         self.total = max(self.lack.excess, *(one.best.drop for one in self.named), 1.0)

@@ -13,13 +13,24 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from difffric.diagnosis.background.cause_sets import CauseSet
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
-from difffric.diagnosis.inferred.friction import DWELL_EFFECT, differentiate_friction, find_friction
+from difffric.diagnosis.inferred.friction import (
+    DWELL_EFFECT,
+    compute_friction_errors,
+    differentiate_friction,
+    find_friction,
+)
+from difffric.estimation.ensemble import Fits
 
 _LEAST = 1e-3
 """Probability of a scatter and a share below which they are not looked at."""
 _NO_SPREAD = 1e-9
 """Spread of a column, in its units, that stands for none at all."""
+_HARDLY = -5.0
+"""Log probability, beside no cause at all, below which sets of causes are not looked at."""
+_MOST_SETS = 12
+"""Sets of causes that are averaged over at most."""
 
 
 def estimate_friction(
@@ -46,14 +57,44 @@ def estimate_friction(
     return mean, np.sqrt(share_of @ np.array(variances) + spread)
 
 
+def average_over_sets(
+    evidence: Evidence, at: Fits, sets: Sequence[CauseSet]
+) -> tuple[NDArray, NDArray]:
+    """Return the log mu_s (n,) of the fit `at` (an ensemble of one), which has no cause, and their
+    standard errors (n,), moved and widened by what `sets` of causes make of mu_s, each as much as
+    it is probable: a cause that is hardly seen may change mu_s by more than a fit without it says.
+    """
+    likely: dict[frozenset[str], CauseSet] = {}
+    for one in sorted(sets, key=lambda one: -one.score):
+        if one.score > _HARDLY:
+            likely.setdefault(one.effects, one)
+    some = list(likely.values())[:_MOST_SETS]
+    weight = np.exp([one.score for one in some])
+    weight /= weight.sum()
+    means, errors = np.swapaxes([estimate_friction(evidence, one.items) for one in some], 0, 1)
+    average = weight @ means
+    variance = weight @ (errors**2 + (means - average) ** 2)
+    none, error = estimate_friction(evidence, ())
+    grown = _is_grown(evidence, ())
+    own = compute_friction_errors(evidence.task, at, grown=grown)
+    wider = np.maximum(variance - error**2, 0.0)
+    return find_friction(evidence.task, at, grown) + average - none, np.hypot(own, np.sqrt(wider))
+
+
+def _is_grown(evidence: Evidence, items: Sequence[PossibleCause]) -> bool:
+    """Whether what static friction grows by in a rest is told with the friction."""
+    return DWELL_EFFECT not in evidence.small.effects or any(
+        item.effect == DWELL_EFFECT for item in items
+    )
+
+
 def _estimate_at(
     evidence: Evidence, items: Sequence[PossibleCause], scatter: float, share: float
 ) -> tuple[NDArray, NDArray]:
     """The means and the variances (n,) of the log mu_s for one scatter of mu_s and one share of the
     background."""
     task, at, small = evidence.task, evidence.at, evidence.small
-    causes = {item.effect for item in items}
-    grown = DWELL_EFFECT not in small.effects or DWELL_EFFECT in causes
+    grown = _is_grown(evidence, items)
     spread = evidence.compute_spread(share, [c for item in items for c in item.columns])
     spread = np.maximum(spread, _NO_SPREAD * evidence.unit)
     # Each push's own mu_s is eliminated, as in the comparison of sets.
