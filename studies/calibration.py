@@ -181,8 +181,11 @@ def main(words: Sequence[str] | None = None) -> int:
     asked, shard = runs.arguments("studies.calibration", __doc__ or "", tuple(KINDS), PAGE, words)
     runs.prepare()
     folder = asked.results / runs.code("reference")
-    for kind in asked.only or KINDS:
-        cases = KINDS[kind].cases if asked.cases is None else asked.cases
+    sizes = {
+        kind: KINDS[kind].cases if asked.cases is None else asked.cases
+        for kind in asked.only or KINDS
+    }
+    for kind, cases in runs.take_turns(sizes, asked.rounds):
         runs.run(kind, folder, cases, partial(run_case, kind), shard)
     everything = {kind: runs.load(folder, kind) for kind in KINDS}
     text = figures.markdown(everything, folder.name)

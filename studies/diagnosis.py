@@ -1,12 +1,13 @@
 """A study of diagnosis: random rigs with hidden effects, from files, started from rough set-ups.
 
     python -m studies.diagnosis [--only clean] [--cases 50] [--shard 1/2] [--results DIR]
-        [--page PAGE] [--keep]
+        [--rounds 50] [--page PAGE] [--keep]
 
 Every case has a seed of its own, is made by `tests.hidden`, which shares no code with the library,
 written to files, diagnosed from them, and appended as a line of JSON to
 DIR/diagnosis/CODE/GROUP.jsonl. What is there already is not done again, nor what an earlier run
-kept with the source (`--keep`). `studies.diagnosis_figures` makes the figures.
+kept with the source (`--keep`). With `--rounds` the parts take turns, so that a study that is
+stopped has some of each. `studies.diagnosis_figures` makes the figures.
 """
 
 from __future__ import annotations
@@ -312,9 +313,12 @@ def main(words: Sequence[str] | None = None) -> int:
     name = runs.code("hidden", ROOMS)
     folder, kept = asked.results / "diagnosis" / name, runs.KEPT / "diagnosis" / name
     runs.add_missing(kept, folder)
-    for group in asked.only or GROUPS:
-        count = GROUPS[group].count if asked.cases is None else asked.cases
-        runs.run(group, folder, count, partial(run_case, group), shard, figures.told)
+    sizes = {
+        group: GROUPS[group].count if asked.cases is None else asked.cases
+        for group in asked.only or GROUPS
+    }
+    for group, number in runs.take_turns(sizes, asked.rounds):
+        runs.run(group, folder, number, partial(run_case, group), shard, figures.told)
     everything = {group: runs.load(folder, group) for group in GROUPS}
     if asked.keep:
         runs.add_missing(folder, kept, shorten)

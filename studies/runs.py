@@ -10,7 +10,7 @@ import os
 import re
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -86,6 +86,14 @@ def run(
         print(file=sys.stderr)
 
 
+def take_turns(sizes: Mapping[str, int], rounds: int) -> Iterator[tuple[str, int]]:
+    """The parts in turn, `rounds` times, each with the number of its first cases to do by then: a
+    study that is stopped has the same share of each."""
+    for turn in range(1, rounds + 1):
+        for part, cases in sizes.items():
+            yield part, -(-cases * turn // rounds)
+
+
 def _append(path: Path, line: str) -> None:
     """On a line of its own, whatever became of the last one."""
     cut = path.exists() and path.read_bytes()[-1:] not in (b"", b"\n")
@@ -129,6 +137,7 @@ def arguments(
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--only", choices=parts, action="append", help="parts (default: all)")
     parser.add_argument("--cases", type=int, help="how many of each part (default: all)")
+    parser.add_argument("--rounds", type=int, default=1, help="the parts take turns so often")
     parser.add_argument("--shard", default="1/1", help="i/n: the i-th of n processes")
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--page", type=Path, default=page)

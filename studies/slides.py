@@ -112,13 +112,15 @@ def main(words: Sequence[str] | None = None) -> int:
     asked, shard = runs.arguments("studies.slides", __doc__ or "", tuple(PARTS), PAGE, words)
     runs.prepare()
     folder = asked.results / "slides" / runs.code("reference")
-    found = {}
+    found, sizes, one = {}, {}, {}
     for part in asked.only or PARTS:
         for scatter in SCATTERS:
             name = f"{part} {scatter:g}".replace(" ", "_")
-            one = partial(run_case, part, scatter)
+            one[name] = partial(run_case, part, scatter)
             most = CASES_WITH_STROKE if part.endswith("stroke") else CASES
-            runs.run(name, folder, most if asked.cases is None else asked.cases, one, shard)
+            sizes[name] = most if asked.cases is None else asked.cases
+    for name, number in runs.take_turns(sizes, asked.rounds):
+        runs.run(name, folder, number, one[name], shard)
     for part in PARTS:
         for scatter in SCATTERS:
             found[part, scatter] = runs.load(folder, f"{part} {scatter:g}".replace(" ", "_"))

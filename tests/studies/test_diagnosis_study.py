@@ -49,6 +49,13 @@ def test_what_is_kept_is_not_done_again(tmp_path):
     assert [x["case"] for x in there if "told" not in x] == [3]
 
 
+def test_a_study_that_is_stopped_has_the_same_share_of_each_part():
+    sizes = {"clean": 1000, "pairs": 200, "strong": 3}
+    turns = list(runs.take_turns(sizes, 50))
+    assert turns[:3] == [("clean", 20), ("pairs", 4), ("strong", 1)]
+    assert dict(turns) == sizes and list(runs.take_turns(sizes, 1)) == list(sizes.items())
+
+
 def test_a_room_that_no_diagnosis_enters_is_no_other_source(tmp_path, monkeypatch):
     monkeypatch.setattr(runs, "ROOT", tmp_path)
     for room in ("rig", "axis"):

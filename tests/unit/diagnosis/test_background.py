@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from difffric.diagnosis.background import cause_sets, evidence, naming, small_effects
 from difffric.diagnosis.background import search as background_search
 from difffric.diagnosis.background.evidence import Evidence
-from difffric.diagnosis.background.friction_estimate import estimate_friction
+from difffric.diagnosis.background.friction_estimate import average_over_sets, estimate_friction
 from difffric.diagnosis.background.shape_columns import (
     Shape,
     ShapeColumns,
@@ -24,7 +24,7 @@ from difffric.diagnosis.background.shape_columns import (
 )
 from difffric.diagnosis.background.shape_pursuit import pursue_shapes
 from difffric.diagnosis.background.small_effects import SmallEffects
-from difffric.diagnosis.inferred.friction import compute_friction_errors
+from difffric.diagnosis.inferred.friction import compute_friction_errors, find_friction
 from difffric.estimation import ensemble, ensemble_refits
 from tests.unit.diagnosis.linear_rig import LinearModel, make_task, start
 
@@ -298,6 +298,24 @@ def test_mu_s_averaged_over_a_background_is_as_the_dense_normal_distribution_say
     estimate, error = estimate_friction(found, items)
     assert estimate == pytest.approx(mean, abs=2e-3 * np.sqrt(variance).min())
     assert error == pytest.approx(np.sqrt(variance), rel=2e-3)
+
+
+def test_mu_s_without_a_cause_is_averaged_over_the_sets_of_causes_that_may_be_there():
+    task, *_ = draw(cause=1.0, seed=4)
+    found = weigh(task, background=False)
+    plain = ensemble_refits.refit(task, start(task, 0.3), 10)
+    none, tilt = (cause_sets.CauseSet(items, 0.0, ()) for items in ((), found.items[:1]))
+    known = find_friction(task, plain), compute_friction_errors(task, plain)
+    assert np.allclose(average_over_sets(found, plain, [none]), known, rtol=1e-12)
+    far = replace(tilt, score=-20.0)  # what is improbable changes nothing
+    assert np.allclose(average_over_sets(found, plain, [far, none]), known, rtol=1e-12)
+    half, error = average_over_sets(found, plain, [tilt, none])
+    with_tilt, sure = estimate_friction(found, tilt.items)
+    without, unsure = estimate_friction(found, ())
+    assert half - known[0] == pytest.approx(0.5 * (with_tilt - without), abs=1e-12)
+    between = 0.25 * (with_tilt - without) ** 2
+    wider = 0.5 * (sure**2 - unsure**2) + between
+    assert error**2 - known[1] ** 2 == pytest.approx(np.maximum(wider, 0.0), abs=1e-12)
 
 
 def make_search(seed: int) -> background_search.BackgroundSearch:
