@@ -337,7 +337,7 @@ def _describe_causes(
         for one in causes
     ]
     # Every rig has many small imperfections, which good sensors see: first what counts.
-    return tuple(sorted(described, key=lambda cause: -cause.change))
+    return tuple(sorted(described, key=lambda cause: -cause.change_of_most))
 
 
 def _list_invisible(found: Findings, causes: Iterable[NamedCause]) -> tuple[str, ...]:

@@ -59,11 +59,9 @@ class Cause:
     change_as_mu_s: float = 0.0
     """the largest of the three as a share of mu_s, which decides whether it matters: F_p and d
     count as the change of mu_s that changes them as much"""
-
-    @property
-    def change(self) -> float:
-        """By how much it changes what a push does: the larger change of F_p and d."""
-        return max(self.change_peak_force, self.change_sliding_distance)
+    change_of_most: float = 0.0
+    """the larger of those of F_p and d, where no push counts much more than most: what makes a push
+    on an edge jump is no larger a cause for that"""
 
     def as_dict(self) -> dict[str, Any]:
         """As `result.json` holds it."""
@@ -129,7 +127,7 @@ class Diagnosis:
     p_value: float | None
     """of the lack of fit of the plain model; None: the noise is not known"""
     causes: tuple[Cause, ...]
-    """what the set-up lacks, the largest change first"""
+    """what the set-up lacks, the largest change of most pushes first"""
     negligible: tuple[Cause, ...]
     """effects that are significant, and change less than what matters"""
     location: Location | None
@@ -265,4 +263,5 @@ def describe_cause(
         change_peak_force=changes.peak_force,
         change_sliding_distance=changes.sliding_distance,
         change_as_mu_s=changes.as_mu_s,
+        change_of_most=changes.of_most,
     )

@@ -57,7 +57,7 @@ def test_a_hidden_effect_is_named_sized_and_gains_on_new_pushes(effect, tmp_path
     if cause.id == effect and effect not in ANOTHER_FORM:
         for key, (value, error) in cause.parameters.items():
             assert abs(value - one.case.effects[effect][key]) < 4 * error
-    assert cause.change > 0
+    assert cause.change_of_most > 0
     where_the_misfit_sits(one.found)
     assert one.found.gain.after < one.found.gain.before
     plain = Setup(one.found.plain.rig, one.found.plain.scatter)

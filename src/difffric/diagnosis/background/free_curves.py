@@ -79,15 +79,18 @@ class CurveComparison:
 
         Of many causes it is enough that a curve explains half of what they do, and is needed beside
         them: they then imitate what none of them is. So do as many causes that stand out while all
-        other effects are exactly at their nulls, which no rig's are.
+        other effects are exactly at their nulls, which no rig's are. Beside a background a curve is
+        needed where a small shape is at a wrong place, too: there they must add little to it.
         """
         if self.count >= TOO_MANY and self.share <= BACKGROUND:
             return True
         alone, beside = self.curves[self.best], max(self.both.values(), default=0.0)
+        causes, added = max(self.causes, 0.0), max(beside - alone, 0.0)
         imitated = self.count >= _MANY and alone > _HALF * self.causes
+        if self.share > BACKGROUND:
+            imitated &= added <= _HALF * causes
         if imitated and beside > self.causes + _ODDS:
             return True
-        causes, added = max(self.causes, 0.0), max(beside - alone, 0.0)
         return alone > causes + _ODDS and added <= _LITTLE * causes
 
 
@@ -128,7 +131,7 @@ def compare_with_curves(
             form: causes + x.gain - float(without) - price
             for form, x in zip(FORMS, beside, strict=False)
         },
-        change=compare_readings(wide, bent, c)[2],
+        change=compare_readings(wide, bent, c).as_mu_s,
         share=share,
     )
 

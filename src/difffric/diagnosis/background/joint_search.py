@@ -38,8 +38,8 @@ MOST_EXCESS = 1.5
 trusted."""
 _SHAPES_FITTED, _OF_EACH = 8, 2
 """Shapes from which a fit is begun where they leave more, and of each effect."""
-_MOST_SHAPED = 8
-"""How often effects with a shape are added, or moved."""
+_MOST_SHAPED = 20
+"""How often effects with a shape are added, or moved, or pushes are looked at anew, at most."""
 ARRIVED = 1.1
 """Squares per number from which on a fit that leaves more may have shapes at wrong places."""
 _HARDLY = 1.02

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,9 @@ a push is followed, and so small that nothing but the slope is seen."""
 _TELLS = 0.1
 """Relative change of F_p, or of d, by that of mu_s: below, nobody infers mu_s from it."""
 _STEEP = 3.0
-"""How many times as steep as most a push is at most, in its d or F_p by mu_s."""
+"""How many times as steep as most a push is at most, in its d or F_p by mu_s, or as changed."""
+_UNTOUCHED = 1e-6
+"""Relative change of a reading up to which an effect leaves a push as it is."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,19 @@ class Changes:
     as_mu_s: float
     """the largest of the three as a share of mu_s: F_p and d count as the change of mu_s that
     changes them as much"""
+    of_most: float
+    """the larger of those of F_p and d, no push counted much more than most"""
+
+
+class ReadingChanges(NamedTuple):
+    """By what F_p and d are others, rms over the pushes."""
+
+    force: float
+    distance: float
+    as_mu_s: float
+    """the share of mu_s that makes one of them so much another"""
+    of_most: float
+    """the larger of the two, where a push on an edge counts no more than most"""
 
 
 def measure_changes(task: EnsembleTask, without: Fits, at: Fits, effect: str) -> Changes:
@@ -46,17 +62,15 @@ def measure_changes(task: EnsembleTask, without: Fits, at: Fits, effect: str) ->
     c[:, 0] = at.mu[0, task.condition] + at.own[0]
     lacking = c.copy()
     lacking[:, index] = without.c[0, index]
-    force, distance, as_mu_s = compare_readings(task, c, lacking)
+    readings = compare_readings(task, c, lacking)
     moved = _take_rms(find_friction(task, at) - find_friction(task, without))
-    return Changes(moved, force, distance, max(moved, as_mu_s))
+    as_mu_s = max(moved, readings.as_mu_s)
+    return Changes(moved, readings.force, readings.distance, as_mu_s, readings.of_most)
 
 
-def compare_readings(
-    task: EnsembleTask, c: NDArray, lacking: NDArray
-) -> tuple[float, float, float]:
-    """Return by what share F_p and d, each rms over the n pushes, are others at coordinates c
-    (n, K) than at `lacking` (n, K), and the share of mu_s that makes one of them so much another.
-    """
+def compare_readings(task: EnsembleTask, c: NDArray, lacking: NDArray) -> ReadingChanges:
+    """Return by what share F_p and d of the n pushes are others at coordinates c (n, K) than at
+    `lacking` (n, K)."""
     n = task.n
     points = np.stack([c, lacking, c, c])
     points[2:, :, 0] += np.array([[_STEP], [-_STEP]])
@@ -69,14 +83,16 @@ def compare_readings(
     force, distance = (_take_rms(x) for x in change.T)
     slopes = (max(_take_rms(_cut_jumps(x)), _TELLS) for x in slope.T)
     by_force, by_distance = (x / y for x, y in zip((force, distance), slopes, strict=True))
-    return force, distance, max(by_force, by_distance)
+    of_most = max(_take_rms(_cut_jumps(x, _UNTOUCHED)) for x in change.T)
+    return ReadingChanges(force, distance, max(by_force, by_distance), of_most)
 
 
-def _cut_jumps(slope: NDArray) -> NDArray:
-    """Return the slopes (n,), none much larger than most: a push on the edge of being caught once
-    more has any."""
-    size = np.abs(slope)
-    usual = np.median(size[np.isfinite(size)]) if np.isfinite(size).any() else 0.0
+def _cut_jumps(x: NDArray, least: float = 0.0) -> NDArray:
+    """Return the sizes of slopes or changes (n,), none much larger than most of those that are at
+    `least` so large: a push on the edge of being caught once more has any."""
+    size = np.abs(x)
+    there = size[np.isfinite(size) & (size >= least)]
+    usual = np.median(there) if len(there) else 0.0
     return np.minimum(size, _STEEP * usual)
 
 
