@@ -60,8 +60,8 @@ class Cause:
     """the largest of the three as a share of mu_s, which decides whether it matters: F_p and d
     count as the change of mu_s that changes them as much"""
     change_of_most: float = 0.0
-    """the larger of those of F_p and d, where no push counts much more than most: what makes a push
-    on an edge jump is no larger a cause for that"""
+    """the larger of those of F_p and d, without the push that changes most: what makes a push on an
+    edge jump is no larger a cause for that"""
 
     def as_dict(self) -> dict[str, Any]:
         """As `result.json` holds it."""
@@ -127,7 +127,7 @@ class Diagnosis:
     p_value: float | None
     """of the lack of fit of the plain model; None: the noise is not known"""
     causes: tuple[Cause, ...]
-    """what the set-up lacks, the largest change of most pushes first"""
+    """what the set-up lacks, the largest change of all pushes but one first"""
     negligible: tuple[Cause, ...]
     """effects that are significant, and change less than what matters"""
     location: Location | None

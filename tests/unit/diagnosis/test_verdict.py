@@ -67,11 +67,9 @@ def test_a_push_on_an_edge_does_not_hide_what_others_show():
     assert (found.force, found.distance) == (0.0, pytest.approx(0.03))
     assert 0.01 < found.as_mu_s < 0.03 / 2
     assert found.of_most == pytest.approx(0.03)
-    with_it[0, 1] = 3.0  # a push that jumps is no more than one of all
+    with_it[0, 1] = 3.0  # a push that jumps says nothing of the others
     found = compare_readings(task, with_it, without)
-    assert found.distance > 0.5 and found.of_most < 2 * 0.03
-    with_it[1:, 1] = 0.0  # an effect that reaches but one push is judged by that one
-    assert compare_readings(task, with_it, without).of_most == pytest.approx(found.distance, 1e-4)
+    assert found.distance > 0.5 and found.of_most == pytest.approx(0.03)
 
 
 @pytest.mark.parametrize(

@@ -18,9 +18,7 @@ a push is followed, and so small that nothing but the slope is seen."""
 _TELLS = 0.1
 """Relative change of F_p, or of d, by that of mu_s: below, nobody infers mu_s from it."""
 _STEEP = 3.0
-"""How many times as steep as most a push is at most, in its d or F_p by mu_s, or as changed."""
-_UNTOUCHED = 1e-6
-"""Relative change of a reading up to which an effect leaves a push as it is."""
+"""How many times as steep as most a push is at most, in its d or F_p by mu_s."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +35,7 @@ class Changes:
     """the largest of the three as a share of mu_s: F_p and d count as the change of mu_s that
     changes them as much"""
     of_most: float
-    """the larger of those of F_p and d, no push counted much more than most"""
+    """the larger of those of F_p and d, without the push that changes most"""
 
 
 class ReadingChanges(NamedTuple):
@@ -48,7 +46,7 @@ class ReadingChanges(NamedTuple):
     as_mu_s: float
     """the share of mu_s that makes one of them so much another"""
     of_most: float
-    """the larger of the two, where a push on an edge counts no more than most"""
+    """the larger of the two, without the push that changes most: it may be on an edge"""
 
 
 def measure_changes(task: EnsembleTask, without: Fits, at: Fits, effect: str) -> Changes:
@@ -83,16 +81,15 @@ def compare_readings(task: EnsembleTask, c: NDArray, lacking: NDArray) -> Readin
     force, distance = (_take_rms(x) for x in change.T)
     slopes = (max(_take_rms(_cut_jumps(x)), _TELLS) for x in slope.T)
     by_force, by_distance = (x / y for x, y in zip((force, distance), slopes, strict=True))
-    of_most = max(_take_rms(_cut_jumps(x, _UNTOUCHED)) for x in change.T)
+    of_most = max(_take_rms(np.sort(np.abs(x[np.isfinite(x)]))[:-1]) for x in change.T)
     return ReadingChanges(force, distance, max(by_force, by_distance), of_most)
 
 
-def _cut_jumps(x: NDArray, least: float = 0.0) -> NDArray:
-    """Return the sizes of slopes or changes (n,), none much larger than most of those that are at
-    `least` so large: a push on the edge of being caught once more has any."""
-    size = np.abs(x)
-    there = size[np.isfinite(size) & (size >= least)]
-    usual = np.median(there) if len(there) else 0.0
+def _cut_jumps(slope: NDArray) -> NDArray:
+    """Return the slopes (n,), none much larger than most: a push on the edge of being caught once
+    more has any."""
+    size = np.abs(slope)
+    usual = np.median(size[np.isfinite(size)]) if np.isfinite(size).any() else 0.0
     return np.minimum(size, _STEEP * usual)
 
 
