@@ -143,5 +143,7 @@ def arguments(
     parser.add_argument("--page", type=Path, default=page)
     parser.add_argument("--keep", action="store_true", help="keep the cases with the source")
     asked = parser.parse_args(words)
+    if asked.rounds < 1:
+        parser.error(f"argument --rounds: expected 1 or more, got {asked.rounds}")
     i, n = (int(x) for x in asked.shard.split("/"))
     return asked, (i, n)

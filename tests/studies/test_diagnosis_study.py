@@ -3,6 +3,8 @@
 import json
 from functools import partial
 
+import pytest
+
 from studies import diagnosis as study
 from studies import runs
 
@@ -54,6 +56,13 @@ def test_a_study_that_is_stopped_has_the_same_share_of_each_part():
     turns = list(runs.take_turns(sizes, 50))
     assert turns[:3] == [("clean", 20), ("pairs", 4), ("strong", 1)]
     assert dict(turns) == sizes and list(runs.take_turns(sizes, 1)) == list(sizes.items())
+
+
+def test_a_study_of_no_rounds_is_refused(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        runs.arguments("studies.x", "", ("clean",), runs.ROOT, ["--rounds", "0"])
+    assert stopped.value.code == 2
+    assert "--rounds: expected 1 or more, got 0" in capsys.readouterr().err
 
 
 def test_a_room_that_no_diagnosis_enters_is_no_other_source(tmp_path, monkeypatch):

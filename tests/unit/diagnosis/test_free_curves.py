@@ -31,6 +31,12 @@ def test_many_causes_imitate_what_a_curve_does():
     assert not compare(100.0, 40.0, 140.0, count=3).is_outside
 
 
+def test_beside_a_background_causes_that_add_much_to_a_curve_stand():
+    # A small shape at a wrong place asks for a curve beside true causes, too.
+    assert not compare(100.0, 60.0, 140.0, count=3, share=0.2).is_outside
+    assert compare(100.0, 60.0, 110.0, count=3, share=0.2).is_outside
+
+
 def test_no_rig_has_five_causes_and_nothing_small_besides():
     assert compare(100.0, 0.0, 100.0, count=5).is_outside
     assert not compare(100.0, 0.0, 100.0, count=5, share=0.2).is_outside
