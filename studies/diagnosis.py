@@ -7,7 +7,8 @@ Every case has a seed of its own, is made by `tests.hidden`, which shares no cod
 written to files, diagnosed from them, and appended as a line of JSON to
 DIR/diagnosis/CODE/GROUP.jsonl. What is there already is not done again, nor what an earlier run
 kept with the source (`--keep`). With `--rounds` the parts take turns, so that a study that is
-stopped has some of each. `studies.diagnosis_figures` makes the figures.
+stopped has some of each. `studies.diagnosis_figures` makes the figures, and
+`studies.diagnosis_targets` holds them against what was asked.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from studies import diagnosis_figures as figures
+from studies import diagnosis_targets as targets
 from studies import reliability, runs
 from tests.hidden import case as cases
 from tests.hidden import friction_of, random_case, strength, with_nuisances, write
@@ -322,7 +324,9 @@ def main(words: Sequence[str] | None = None) -> int:
     everything = {group: runs.load(folder, group) for group in GROUPS}
     if asked.keep:
         runs.add_missing(folder, kept, shorten)
-    text = figures.markdown(everything, folder.name)
+    counted = targets.count_cases(everything, {group: GROUPS[group].count for group in GROUPS})
+    head = f"Measured with source `{name}`: {counted} of the cases."
+    text = "\n\n".join((head, targets.tabulate(everything), figures.markdown(everything)))
     print(text)
     if shard == (1, 1):
         figures.confusion(everything, IMAGE)
