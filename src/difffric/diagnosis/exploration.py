@@ -36,6 +36,9 @@ _ROUNDS = 15
 """Steps at most of a leader's refit to all pushes; a fit that has arrived rests."""
 _ALWAYS_KEPT = 3
 """Leaders that are refitted to the end, however little they explain by then."""
+_HOPELESS = 100.0
+"""How many times the noise bristles may leave beyond their rivals once their sizes have been looked
+for: where bristles were hidden they left the noise, and elsewhere 4000 times as much."""
 _FAIR_SHARE = 0.3
 """Share of what the best explains from which further ones are refitted to the end, too."""
 _PURSUED = 20
@@ -95,15 +98,19 @@ def explore(
     scores: Mapping[str, Score],
     tell: Callable[[float], object] = lambda share: None,
     far: bool = True,
+    most: float = np.inf,
 ) -> list[CandidateCause]:
-    """Return the leading effects, each refitted on top of `base`, the best first.
+    """Return the leading effects, each refitted on top of `base`, the best first. Those are left
+    out that are still above `most`, in -2 log likelihood, once they have been looked for.
 
     `far` says that the misfit is so large that what is linear at an effect's null may be wrong.
     """
     search = _EffectSearch(task, base, list(effects), scales, scores, tell)
     fits, names = _search_far(search) if far else _search_near(search)
     before = float(ensemble.criterion(task, base)[0])
-    fits, names = _keep_promising(task, fits, names, before)
+    fits, names = _keep_promising(task, fits, names, before, most)
+    if not names:
+        return []
     fits = _refit_to_the_end(task, fits, far)
     tell(0.95)
     value = ensemble.criterion(task, fits)
@@ -129,7 +136,8 @@ def explore_bristles(
     """
     if not is_promising(task, base, PRESLIDING, scales):
         return None
-    found = explore(task, base, [PRESLIDING], scales, {}, far=True)
+    most = least + _HOPELESS * float(task.counts.sum())
+    found = explore(task, base, [PRESLIDING], scales, {}, far=True, most=most)
     for best in found:
         if float(ensemble.criterion(task, best.fits)[0]) < least:
             p_value = compute_p_value(PRESLIDING, best.drop, looked_for)
@@ -300,13 +308,17 @@ def _place_effect(task: EnsembleTask, base: Fits, effect: str, rows: NDArray) ->
 
 
 def _keep_promising(
-    task: EnsembleTask, fits: Fits, names: Sequence[str], before: float
+    task: EnsembleTask, fits: Fits, names: Sequence[str], before: float, most: float
 ) -> tuple[Fits, list[str]]:
-    """Keep those that explain a fair share of what the best does by now, and the first few."""
-    gain = before - ensemble.criterion(task, fits)
+    """Keep those that explain a fair share of what the best does by now, and the first few, but for
+    those that leave more than `most`."""
+    value = ensemble.criterion(task, fits)
+    gain = before - value
     order: list[int] = np.argsort(-gain).tolist()
     keep = [
-        j for k, j in enumerate(order) if k < _ALWAYS_KEPT or gain[j] > _FAIR_SHARE * gain[order[0]]
+        j
+        for k, j in enumerate(order)
+        if (k < _ALWAYS_KEPT or gain[j] > _FAIR_SHARE * gain[order[0]]) and value[j] <= most
     ]
     return fits.pick(keep), [names[j] for j in keep]
 

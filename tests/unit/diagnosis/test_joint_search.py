@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from difffric.diagnosis.background import joint_search
 from difffric.diagnosis.background import search as background_search
 from difffric.diagnosis.background.cause_sets import find_set
 from difffric.diagnosis.background.joint_fit import WIDE, measure_left
@@ -119,3 +120,18 @@ def test_a_cause_that_was_held_at_its_null_is_fitted_again(seed):
     search.free(evidence, one.items, [0.9])  # a size that is not the best: the fit finds that
     assert TILT in search.joint.extra[0]
     assert search.joint.c[0, TILT] == pytest.approx(1.5, abs=0.05)
+
+
+def test_fits_that_leave_far_more_after_their_first_steps_are_not_followed(monkeypatch):
+    def count_followed(tilt, gain):
+        search, followed = make_joint(0, tilt, gain, unseen=0.0), []
+        keep = joint_search.follow_leaders
+        monkeypatch.setattr(
+            joint_search, "follow_leaders", lambda *a: followed.append(1) or keep(*a)
+        )
+        search._begin_with_any(search._forget_small())
+        monkeypatch.undo()
+        return len(followed)
+
+    assert count_followed(1.5, 0.0) == 1  # one effect leaves noise
+    assert count_followed(1.5, 1.5) == 0  # it takes both

@@ -108,3 +108,22 @@ def test_a_shape_that_is_placed_counts_in_the_search_for_the_next(seed):
     begun = placement.predict_start(evidence, found.items)
     assert begun.c[0, LEVEL] == 2.0
     assert begun.c[0, SIZE] == pytest.approx(1.0, abs=0.1)
+
+
+MANY = ("tilt", "force_gain", "force_offset", "probe_scale", "pusher_speed", "pusher_lag", "drag")
+
+
+@pytest.mark.parametrize("hidden", range(len(MANY)))
+def test_fits_begin_with_the_effects_whose_step_promises_most(hidden):
+    rng = np.random.default_rng(hidden)
+    names = ("k", *(f"{effect}.x" for effect in MANY))
+    index = tuple(range(2, 2 + len(MANY)))
+    slopes = rng.normal(size=(N, 2, 1 + len(names))) * 30
+    measured = slopes[:, :, index[hidden]] + 0.5 * rng.normal(size=(N, 2))
+    task = make_task(slopes, measured, names, shared=(1,))
+    K, ones = 1 + len(names), np.ones(len(MANY))
+    small = SmallEffects(MANY, index, 0.3 * ones, 5 * ones, np.zeros(K), np.zeros(K))
+    chosen, starts = placement.begin_with_each(task, start(task, 0.05), small)
+    assert chosen[0] == index[hidden] and len(chosen) == len(starts) < len(MANY)
+    assert [one.extra for one in starts] == [((i,),) for i in chosen]
+    assert all(not one.c[0, index].any() for one in starts)

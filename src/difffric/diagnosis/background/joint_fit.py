@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from difffric.diagnosis.background.growing_horizon import fit_with_growing_horizon
 from difffric.diagnosis.background.small_effects import SmallEffects
-from difffric.diagnosis.data import DiagnosisData
+from difffric.diagnosis.data import DiagnosisData, choose_subset
 from difffric.estimation import ensemble, ensemble_refits
 from difffric.estimation.ensemble import EnsembleTask, Fits
 
@@ -23,6 +24,9 @@ _FIRST_ROUNDS, _ROUNDS = 6, 15
 """Steps at most of a joint fit, first from the plain fit."""
 ROUGHLY = 1.0
 """What a step has to gain in chi-square, while more is to come."""
+_FEW, _LEADERS, _MORE = 2, 2, 8
+"""Steps of fits from several starts on some of the pushes, those of them that are fitted to all
+pushes, and the steps of these at most."""
 _NOISE_LEFT = 3.0
 """Squares per number up to which a fit leaves noise, and what is linear in small shapes."""
 
@@ -54,3 +58,27 @@ def fit_jointly(
     at = ensemble_refits.refit(task, at, _ROUNDS, tol=ROUGHLY)
     better = float(ensemble.criterion(task, at)[0]) < float(ensemble.criterion(task, found)[0])
     return (at, cutting) if better else (found, ())
+
+
+def fit_best(task: EnsembleTask, starts: Sequence[Fits]) -> tuple[Fits, int]:
+    """Return the best fit to which the `starts` lead, and the number of its start: a few steps from
+    each with some of the pushes, then those that lead with all."""
+    return follow_leaders(task, try_starts(task, starts)[0])
+
+
+def try_starts(task: EnsembleTask, starts: Sequence[Fits]) -> tuple[Fits, NDArray]:
+    """Return the fits after a few steps from each of the `starts` with some of the pushes, and the
+    squares per number (m,) that they leave of these."""
+    some = choose_subset(task) if task.model.recordings else np.arange(task.n)
+    fits = ensemble_refits.refit(task, ensemble.join(*starts), _FEW, some)
+    return fits, ensemble.sum_squares(task, fits, some) / task.counts[some].sum()
+
+
+def follow_leaders(task: EnsembleTask, fits: Fits) -> tuple[Fits, int]:
+    """Return the best fit to all pushes that those of the `fits` to some of them lead to which
+    lead, and its number among them."""
+    leaders = np.argsort(ensemble.criterion(task, fits))[:_LEADERS]
+    ahead = replace(fits.pick(leaders), gram=None, residual=None, damping=None)
+    fits = ensemble_refits.refit(task, ahead, _MORE, tol=ROUGHLY)
+    best = int(np.argmin(ensemble.criterion(task, fits)))
+    return fits.pick(best), int(leaders[best])

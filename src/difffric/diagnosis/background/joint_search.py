@@ -14,8 +14,20 @@ import scipy
 
 from difffric.diagnosis.background.cause_sets import compute_price
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
-from difffric.diagnosis.background.joint_fit import ROUGHLY, WIDE, measure_left
-from difffric.diagnosis.background.placement import place_shapes, predict_start, put_small
+from difffric.diagnosis.background.joint_fit import (
+    ROUGHLY,
+    WIDE,
+    fit_best,
+    follow_leaders,
+    measure_left,
+    try_starts,
+)
+from difffric.diagnosis.background.placement import (
+    begin_with_each,
+    place_shapes,
+    predict_start,
+    put_small,
+)
 from difffric.diagnosis.background.shape_columns import (
     Shape,
     compute_columns,
@@ -26,7 +38,7 @@ from difffric.diagnosis.background.shape_grid import ShapeGrid, leave_out
 from difffric.diagnosis.background.shape_pursuit import choose_best_shapes, pursue_shapes
 from difffric.diagnosis.background.size_scan import CUTTING, place_cutting_effects
 from difffric.diagnosis.background.small_effects import SmallEffects
-from difffric.diagnosis.data import DiagnosisData, choose_subset
+from difffric.diagnosis.data import DiagnosisData
 from difffric.diagnosis.score_test import SIGNIFICANT, count_looks
 from difffric.diagnosis.starting_values import list_starting_values
 from difffric.estimation import ensemble, ensemble_refits
@@ -51,9 +63,10 @@ _SMALL = 0.3
 _AT_ONCE = 3
 """Shapes at most that are placed at once."""
 _FIRST_ROUNDS = 2
-"""Steps of the fits from each of these shapes."""
-_LEADERS = 2
-"""Those of them that are fitted to the end."""
+"""Steps of the fits from each start with a set of causes freed."""
+_HOPELESS = 30.0
+"""How many times as much as the joint fit one that has not all small effects may leave after its
+first steps, to be followed: those that were right left a tenth more."""
 _ROUNDS = 8
 """Steps at most of the best of them, and of a fit with a set of causes freed."""
 _NEARER, _NEXT_TO_NOTHING = (0.1, 0.5), 10.0
@@ -193,7 +206,7 @@ class JointSearch:
         bases = (self.joint, self._forget_small())
         starts = [place_shapes(task, at, one.items, one.sizes) for at in bases for one in first]
         starts += [predict_start(evidence, one.items) for one in first]
-        found, which = _fit_best(task, starts)
+        found, which = fit_best(task, starts)
         one = first[which % len(first)]
         gain = float(ensemble.criterion(task, self.joint)[0] - ensemble.criterion(task, found)[0])
         if gain < 2 * one.price:
@@ -234,7 +247,7 @@ class JointSearch:
         task = self._assume_wide()
         bases = (self.joint, self._forget_small())
         starts = [leave_out(task, at, {effect}) for at in bases for effect in self.shaped]
-        found, which = _fit_best(task, starts)
+        found, which = fit_best(task, starts)
         if ensemble.criterion(task, found)[0] > ensemble.criterion(task, self.joint)[0]:
             return False
         gone = self.shaped[which % len(self.shaped)]
@@ -298,20 +311,18 @@ class JointSearch:
     def _begin_with_any(self, base: Fits, worth: float = _NEXT_TO_NOTHING) -> bool:
         """Take the fit that begins with one small effect of any size, on top of plain parameters
         and shapes of `base`, if chi-square falls by what it is `worth`; whether it does."""
-        index, starts = self.small.index, []
+        index = self.small.index
         if not index:
             return False
-        shapes = tuple(i for i in base.extra[0] if i not in index)
-        for i in index:
-            c = base.c.copy()
-            others = [k for k in index if k != i]
-            c[0, others] = self.small.null[others]
-            starts.append(replace(base, c=c, extra=((*shapes, i),)))
-        fits, which = _fit_best(self.data.task, starts)
+        chosen, starts = begin_with_each(self.data.task, base, self.small)
+        few, left = try_starts(self.data.task, starts)
+        if left.min() > _HOPELESS * measure_left(self.data.task, self.joint):
+            return False
+        fits, which = follow_leaders(self.data.task, few)
         joint = ensemble.criterion(self._assume_wide(), self.joint)[0]
         if ensemble.criterion(self.data.task, fits)[0] > joint + _EACH * len(index):
             return False
-        before, self.large = self.large, self.large | {index[which]}
+        before, self.large = self.large, self.large | {chosen[which]}
         start = self._hold(self.small.free(fits), fits.extra[0])
         if self._follow_start(self._assume_wide(), start, worth):
             return True
@@ -374,18 +385,6 @@ class JointSearch:
         best = int(np.argmin(ensemble.criterion(task, fits)))
         self.joint = ensemble_refits.refit(task, fits.pick(best), _ROUNDS)
         self.shaped = (*self.shaped, *new)
-
-
-def _fit_best(task: EnsembleTask, starts: Sequence[Fits]) -> tuple[Fits, int]:
-    """Return the best fit to which the `starts` lead, and the number of its start: a few steps from
-    each with some of the pushes, then those that lead with all."""
-    some = choose_subset(task) if task.model.recordings else None
-    fits = ensemble_refits.refit(task, ensemble.join(*starts), _FIRST_ROUNDS, some)
-    leaders = np.argsort(ensemble.criterion(task, fits))[:_LEADERS]
-    ahead = replace(fits.pick(leaders), gram=None, residual=None, damping=None)
-    fits = ensemble_refits.refit(task, ahead, _ROUNDS, tol=ROUGHLY)
-    best = int(np.argmin(ensemble.criterion(task, fits)))
-    return fits.pick(best), int(leaders[best])
 
 
 def free_causes(

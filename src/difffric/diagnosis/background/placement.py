@@ -16,10 +16,13 @@ from difffric.diagnosis.background.evidence import Evidence, PossibleCause
 from difffric.diagnosis.background.joint_fit import WIDE
 from difffric.diagnosis.background.known_columns import list_known
 from difffric.diagnosis.background.small_effects import SmallEffects
+from difffric.diagnosis.data import choose_subset
 from difffric.estimation import ensemble
 from difffric.estimation.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import numbers_of
 
+_BEGUN = 5
+"""Effects at most with each of which a fit is begun."""
 _LEAST_LEVEL = 0.2
 """The share of its mu_s that a push keeps at least: no linear prediction goes further."""
 
@@ -105,3 +108,37 @@ def put_shape(c: NDArray, item: PossibleCause, sizes: Sequence[float] | NDArray)
 def _has_amplitude(item: PossibleCause) -> bool:
     """Whether a shape has an amplitude beside what makes its shape."""
     return item.shape is not None and item.shape.typical < 1.0
+
+
+def begin_with_each(
+    task: EnsembleTask, base: Fits, small: SmallEffects
+) -> tuple[list[int], list[Fits]]:
+    """Return the coordinates of some small effects, and fits that begin with each of them alone, on
+    top of plain parameters and shapes of `base` (ensembles of one): those whose first step promises
+    most, as the derivatives by all of them at once have it."""
+    shapes = tuple(i for i in base.extra[0] if i not in small.index)
+    chosen = _rank_promises(task, base, shapes, small.index)[:_BEGUN]
+    starts = []
+    for i in chosen:
+        c = base.c.copy()
+        others = [k for k in small.index if k != i]
+        c[0, others] = small.null[others]
+        starts.append(replace(base, c=c, extra=((*shapes, i),)))
+    return chosen, starts
+
+
+def _rank_promises(
+    task: EnsembleTask, base: Fits, shapes: tuple[int, ...], index: tuple[int, ...]
+) -> list[int]:
+    """The coordinates `index`, that first whose step beside plain parameters and shapes promises
+    most on some of the pushes."""
+    some = choose_subset(task) if task.model.recordings else None
+    whole = replace(base, extra=((*shapes, *index),), gram=None, residual=None)
+    found = ensemble.normal_equations(task, ensemble.evaluate(task, whole, some))
+    always = task.conditions + len(task.shared) + len(shapes)
+    promised = []
+    for k in range(len(index)):
+        own = [*range(always), always + k]
+        H, g = found.H[:, own][:, :, own], found.g[:, own]
+        promised.append(-float((ensemble.solve(H, g) * g).sum()))
+    return [index[k] for k in np.argsort(promised)[::-1]]
