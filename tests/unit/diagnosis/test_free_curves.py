@@ -2,7 +2,7 @@
 
 import pytest
 
-from difffric.diagnosis.background.free_curves import CurveComparison
+from difffric.diagnosis.background.free_curves import CurveComparison, limit_curves
 
 
 def compare(causes, alone, both, count=1, share=0.0) -> CurveComparison:
@@ -40,3 +40,13 @@ def test_beside_a_background_causes_that_add_much_to_a_curve_stand():
 def test_no_rig_has_five_causes_and_nothing_small_besides():
     assert compare(100.0, 0.0, 100.0, count=5).is_outside
     assert not compare(100.0, 0.0, 100.0, count=5, share=0.2).is_outside
+
+
+@pytest.mark.parametrize(("adds", "outside"), [(-8.0, False), (500.0, True)])
+def test_a_curve_alone_explains_no_more_than_beside_the_causes(adds, outside):
+    # A patch at 68 times the noise: 6.6e7 by linear answers, 3.87e7 by its fit, which leaves noise.
+    causes, alone = 3.87e7, {"spring": 4.97e7}
+    both = {"spring": causes + adds}
+    assert compare(causes, alone["spring"], both["spring"]).is_outside
+    limited = CurveComparison(causes, limit_curves(alone, both), both, count=1)
+    assert limited.is_outside == outside

@@ -114,7 +114,8 @@ def compare_with_curves(
     price = float(np.log(len(FORMS))) + _SELDOM
     alone = list(_weigh_curves(evidence, (), curves, priors))
     beside = list(_weigh_curves(evidence, items, curves, priors)) if items else []
-    causes, share = score_set(evidence, items), evidence.estimate_share(items)
+    linear, share = score_set(evidence, items), evidence.estimate_share(items)
+    causes = linear
     if share <= BACKGROUND:
         # To take a shape out again is anything but linear: no set explains more than was seen.
         value = ensemble.criterion(task, ensemble.join(plain, base))
@@ -123,17 +124,27 @@ def compare_with_curves(
     best = int(np.argmax([x.gain for x in alone]))
     bent = c.copy()
     bent[:, K + best * free_form.SPLINES :][:, : free_form.SPLINES] = alone[best].coefficients
+    explained = {form: x.gain - price for form, x in zip(FORMS, alone, strict=True)}
+    both = {
+        form: causes + x.gain - float(without) - price
+        for form, x in zip(FORMS, beside, strict=False)
+    }
+    if causes < linear:
+        explained = limit_curves(explained, both)
     return CurveComparison(
         causes=causes,
         count=len(items),
-        curves={form: x.gain - price for form, x in zip(FORMS, alone, strict=True)},
-        both={
-            form: causes + x.gain - float(without) - price
-            for form, x in zip(FORMS, beside, strict=False)
-        },
+        curves=explained,
+        both=both,
         change=compare_readings(wide, bent, c).as_mu_s,
         share=share,
     )
+
+
+def limit_curves(alone: dict[str, float], both: dict[str, float]) -> dict[str, float]:
+    """Return what each curve explains alone, no more than it does beside the causes: where a large
+    shape was taken out again, linear answers promise more than there is to explain."""
+    return {form: min(x, both[form]) for form, x in alone.items()}
 
 
 def _measure_columns(wide: EnsembleTask, joint: Fits) -> NDArray:
