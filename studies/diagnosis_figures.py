@@ -221,17 +221,24 @@ def gain_rows(lines: Sequence[dict]) -> list[tuple[str, str]]:
     return rows
 
 
+def are_all_named(line: dict) -> bool:
+    """Whether every hidden effect is in the set of a cause."""
+    return all(any(effect in some for some in sets(line)) for effect in line["effects"])
+
+
+def is_located(line: dict) -> bool:
+    """Whether the misfit is located in a component where something is hidden."""
+    return line["location"] in line["components"]
+
+
 def pair_rows(lines: Sequence[dict]) -> list[tuple[str, str]]:
     """Of data in which two effects are hidden."""
-
-    def both(line):
-        return all(any(effect in some for some in sets(line)) for effect in line["effects"])
 
     def one(line):
         return any(any(effect in some for some in sets(line)) for effect in line["effects"])
 
     return [
-        ("both named (asked: 90 %)", str(share(lines, both))),
+        ("both named (asked: 90 %)", str(share(lines, are_all_named))),
         ("one of them at least", str(share(lines, one))),
         ("a spurious cause (asked: 3 %)", str(share(lines, spurious))),
         ("falsely `unexplained`", str(share(lines, is_unexplained))),
@@ -266,15 +273,12 @@ def outsider_rows(lines: Sequence[dict]) -> list[tuple[str, str]]:
     there = [line for line in lines if is_unexplained(line)]
     named = [line for line in lines if line["causes"]]
 
-    def located(line):
-        return line["location"] in line["components"]
-
     def beside(line):
         return line["causes"][0]["component"] in line["components"]
 
     return [
         ("`unexplained` (asked: 90 %)", str(Share(len(there), len(lines)))),
-        ("the right component, of those (asked: 85 %)", str(share(there, located))),
+        ("the right component, of those (asked: 85 %)", str(share(there, is_located))),
         ("of the others, an effect of the right component first", str(share(named, beside))),
     ]
 

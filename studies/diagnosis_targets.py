@@ -136,21 +136,13 @@ def _of_intervals(groups: Sequence[str]) -> Callable:
     return find
 
 
-def _are_both_named(line: dict) -> bool:
-    return all(any(effect in some for some in figures.sets(line)) for effect in line["effects"])
-
-
 def _is_anything_named(line: dict) -> bool:
     return bool(line["causes"])
 
 
-def _is_located(line: dict) -> bool:
-    return line["location"] in line["components"]
-
-
 def _locate(everything: Everything) -> Found | None:
     outside = [x for x in gather(everything, ("outsiders",)) if figures.is_unexplained(x)]
-    return find_share(outside, _is_located)
+    return find_share(outside, figures.is_located)
 
 
 _IN_CATALOGUE = ("clean", "background", *figures.ONE, "pairs", "strong")
@@ -175,7 +167,7 @@ TARGETS = (
     Target("outsiders: the right component, of those", 0.85, _ALL, _locate),
     Target("falsely `unexplained`",
            -_ALL, 0.03, _of_groups(_IN_CATALOGUE, figures.is_unexplained)),
-    Target("pairs: both named", 0.90, _ALL, _of_groups(["pairs"], _are_both_named)),
+    Target("pairs: both named", 0.90, _ALL, _of_groups(["pairs"], figures.are_all_named)),
     Target("pairs: a spurious third", -_ALL, 0.03, _of_groups(["pairs"], figures.spurious)),
     Target("stated probabilities: slope of log odds",
            0.9, 1.1, lambda everything: find_slope(figures.with_one(everything)), ".1f"),

@@ -75,8 +75,8 @@ def try_starts(task: EnsembleTask, starts: Sequence[Fits]) -> tuple[Fits, NDArra
 
 
 def follow_leaders(task: EnsembleTask, fits: Fits) -> tuple[Fits, int]:
-    """Return the best fit to all pushes that those of the `fits` to some of them lead to which
-    lead, and its number among them."""
+    """Return the best fit to all pushes to which the `fits` lead, which are to some of the pushes:
+    the best few of them go on; and the number of the one that led there."""
     leaders = np.argsort(ensemble.criterion(task, fits))[:_LEADERS]
     ahead = replace(fits.pick(leaders), gram=None, residual=None, damping=None)
     fits = ensemble_refits.refit(task, ahead, _MORE, tol=ROUGHLY)
