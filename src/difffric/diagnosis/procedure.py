@@ -302,29 +302,29 @@ class _CauseSearch(CauseRounds):
             self.validation = CrossValidation(assumed, self.validation.folds)
         elif not items and found.evidence.excess < ARRIVED:
             self.friction = average_over_sets(found.evidence, base, found.sets)
-        for both in zip(items, p_values, strict=True):
-            self._add_cause(found, items, *both)
+        self._add_causes(found, dict(zip(items, p_values, strict=True)))
         self.total = max(self.lack.excess, *(one.best.drop for one in self.named), 1.0)
 
-    def _add_cause(
-        self,
-        found: BackgroundSearch,
-        items: Sequence[PossibleCause],
-        item: PossibleCause,
-        p_value: float,
-    ) -> None:
-        """Add one of the causes `items`, unless the fit is as good without it."""
-        task, whole = self.start.data.task, self.whole or self.base
-        without = self._leave_out(whole, item.effect)
-        value = ensemble.criterion(task, ensemble.join(without, whole))
-        drop, price = float(value[0] - value[1]), 2 * compute_price(found.evidence, [item])
-        if drop < price:  # it was there to make up for what another one did
-            return
-        predicted = self.scores[item.effect].drop if item.effect in self.scores else 0.0
-        one = CandidateCause(item.effect, whole, drop, predicted, p_value, drop - price)
-        by_fits = self.share <= BACKGROUND
-        others = compare_rivals(found.data.task, self.base, found, items, one, by_fits)
-        self.named.append(NamedCause(one, others, without))
+    def _add_causes(self, found: BackgroundSearch, p_values: Mapping[PossibleCause, float]) -> None:
+        """Add causes with their p-values, but for those without which the fit is as good: they were
+        there to make up for what another one did."""
+        task, items, named = self.start.data.task, tuple(p_values), []
+        for item, p_value in p_values.items():
+            whole = self.whole or self.base
+            without = self._leave_out(whole, item.effect)
+            value = ensemble.criterion(task, ensemble.join(without, whole))
+            drop, price = float(value[0] - value[1]), 2 * compute_price(found.evidence, [item])
+            if drop < price:
+                self.base, self.whole = self._leave_out(self.base, item.effect), without
+                left = {one: p for one, p in p_values.items() if one is not item}
+                return self._add_causes(found, left)
+            predicted = self.scores[item.effect].drop if item.effect in self.scores else 0.0
+            one = CandidateCause(item.effect, whole, drop, predicted, p_value, drop - price)
+            by_fits = self.share <= BACKGROUND
+            others = compare_rivals(found.data.task, self.base, found, items, one, by_fits)
+            named.append(NamedCause(one, others, without))
+        self.named += named
+        return None
 
     def _add_bristles(self, rivals: Sequence[Fits]) -> bool:
         """Add bristles where they alone explain more than each of the `rivals`; whether they do."""
@@ -388,13 +388,4 @@ class _CauseSearch(CauseRounds):
             return base
         task = self.start.data.task
         gone = task.model.coordinates.indices([x for e in effects for x in numbers_of(e)])
-        c, extra = base.c.copy(), tuple(i for i in base.extra[0] if i not in gone)
-        c[0, gone] = self.plain.c[0, gone]
-        less = replace(base, c=c, extra=(extra,), gram=None, residual=None, damping=None)
-        # Without a strong effect the plain parameters are elsewhere: where they were before.
-        there, shared = c.copy(), list(task.shared)
-        there[0, shared] = self.plain.c[0, shared]
-        before = replace(less, c=there, mu=self.plain.mu, own=self.plain.own)
-        both = ensemble.join(less, before)
-        nearer = int(np.argmin(ensemble.criterion(task, ensemble.evaluate(task, both))))
-        return ensemble_refits.refit(task, both.pick(nearer), _ROUNDS_WITHOUT)
+        return ensemble_refits.refit_without(task, base, self.plain, gone, _ROUNDS_WITHOUT)

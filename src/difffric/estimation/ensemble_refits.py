@@ -7,6 +7,7 @@ Axes as in `ensemble`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -225,6 +226,22 @@ def refit(
             fits = replace_fits(fits, which[better], good)
         active[which[done]] = False
     return replace(fits, damping=damping)
+
+
+def refit_without(
+    task: EnsembleTask, fits: Fits, before: Fits, gone: Sequence[int], rounds: int
+) -> Fits:
+    """Return the fit (an ensemble of one) with the coordinates `gone` as they are in the fit
+    `before`, which has none of them, and all else that is free fitted anew."""
+    c, extra = fits.c.copy(), tuple(i for i in fits.extra[0] if i not in gone)
+    c[0, gone] = before.c[0, gone]
+    less = replace(fits, c=c, extra=(extra,), gram=None, residual=None, damping=None)
+    # Without a strong effect the plain parameters are elsewhere: where they were before.
+    there, shared = c.copy(), list(task.shared)
+    there[0, shared] = before.c[0, shared]
+    both = en.join(less, replace(less, c=there, mu=before.mu, own=before.own))
+    nearer = int(np.argmin(en.criterion(task, en.evaluate(task, both))))
+    return refit(task, both.pick(nearer), rounds)
 
 
 def rescan_bad_pushes(

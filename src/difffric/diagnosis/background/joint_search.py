@@ -113,7 +113,7 @@ class JointSearch:
             if left > ARRIVED:
                 ways = [self.rescan_own, self.place_cuts, self.drop_shape, *ways]
                 ways += [self.move_shape, self.place_shapes_anew, self.begin_with_one]
-            if left > _HARDLY:
+            if left > _HARDLY or len(self.shaped) > 1:
                 ways += [self.enlarge_hidden]
             ways += [self.replace_shape]
             if not any(place(evidence) for place in ways):
