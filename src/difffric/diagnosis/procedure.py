@@ -275,6 +275,8 @@ class _CauseSearch(CauseRounds):
         self.visible |= {effect: score.visible for effect, score in self.scores.items()}
         self.share = share = found.evidence.estimate_share(items)
         base = fit_causes(task, self.plain, found, items)
+        if items and share <= BACKGROUND and self._leads_astray(base):
+            items, p_values, base = (), [], self.plain
         if items or share > BACKGROUND:
             self.tell("comparing with free curves", 0.6)
             compared = compare_with_curves(data, found, items, self.plain, base)
@@ -340,6 +342,13 @@ class _CauseSearch(CauseRounds):
         self.named, self.considered = [NamedCause(one, (one,), plain)], [one]
         self.total, self.explained = max(self.lack.excess, one.drop), True
         return True
+
+    def _leads_astray(self, fits: Fits) -> bool:
+        """Whether the plain model foresees held-out pushes better than `fits`, by more than these
+        explain where they are fitted."""
+        task, foresee = self.start.data.task, self.validation.measure_surprise
+        value = ensemble.criterion(task, ensemble.join(self.plain, fits))
+        return foresee(fits) - foresee(self.plain) > float(value[0] - value[1])
 
     def _find_unseen(self) -> float:
         """Return by how much a small effect that is one with mu_s changes it, relatively."""

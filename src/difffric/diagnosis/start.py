@@ -202,7 +202,7 @@ def fit_plain_model(task: EnsembleTask, start: Fits, guess: Fits) -> Fits:
     fits = ensemble_refits.refit(task, start, _ROUNDS)
     if not is_misfit_large(task, fits):
         again = ensemble_refits.rescan_loose_pushes(task, fits)
-        return fits if again is fits else ensemble_refits.refit(task, again, _ROUNDS)
+        return ensemble_refits.refit_past_jumps(task, again, _ROUNDS)
     level = replace(start, own=np.zeros_like(start.own))
     every = ensemble.join(fits, ensemble_refits.refit(task, ensemble.join(level, guess), _ROUNDS))
     best = np.argmin(ensemble.criterion(task, every))

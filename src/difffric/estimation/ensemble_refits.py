@@ -26,6 +26,8 @@ fail: the model jumps there."""
 _LITTLE, _FAR_ABOVE = 1e-4, 10.0
 """The share of a sum of squares that is not worth a step, and how many times what noise leaves it
 is there at least."""
+_GAINED = 0.02
+"""What a fit that has arrived has left to gain in chi-square."""
 _SETTLING = 2
 """Times that it is brought closer."""
 _FAR = 0.5
@@ -38,6 +40,9 @@ _FINE = np.linspace(-0.7, 0.7, 113)
 LOOSE, _NEAR = 5e-4, np.linspace(-3.0, 3.0, 13)
 """The standard error of a push's own log mu_s from which it is looked for on a grid, and the grid
 in units of it."""
+_OUTLYING, _CLOSE = 2.5, np.linspace(-12.0, 12.0, 49)
+"""Standard deviations of what noise leaves of a push, by which one fits worse than the others, and
+the own log mu_s that are tried then, in units of its standard error."""
 _WORTH = 1.0
 """By how much a sum of squares must fall to be worth another branch."""
 
@@ -189,7 +194,7 @@ def place_at(task: EnsembleTask, fits: Fits, point: NDArray) -> Fits:
 
 
 def refit(
-    task: EnsembleTask, fits: Fits, rounds: int, pushes: NDArray | None = None, tol: float = 0.02
+    task: EnsembleTask, fits: Fits, rounds: int, pushes: NDArray | None = None, tol: float = _GAINED
 ) -> Fits:
     """The fits after at most `rounds` of Levenberg-Marquardt, on all pushes or on some.
 
@@ -226,6 +231,14 @@ def refit(
             fits = replace_fits(fits, which[better], good)
         active[which[done]] = False
     return replace(fits, damping=damping)
+
+
+def refit_past_jumps(task: EnsembleTask, fits: Fits, rounds: int, tol: float = _GAINED) -> Fits:
+    """The fits after at most so many `rounds`, and as many again where a push that is beside a jump
+    of its answer has kept one from moving."""
+    fits = refit(task, fits, rounds, tol=tol)
+    again = rescan_outlying_pushes(task, fits)
+    return fits if again is fits else refit(task, again, rounds, tol=tol)
 
 
 def refit_without(
@@ -267,6 +280,20 @@ def rescan_loose_pushes(task: EnsembleTask, fits: Fits) -> Fits:
         return fits
     error = compute_own_errors(fits)
     return _rescan(task, fits, error > LOOSE, make_own_grid(fits, error), 1.0)
+
+
+def rescan_outlying_pushes(task: EnsembleTask, fits: Fits) -> Fits:
+    """The fits with the own mu_s of pushes that fit worse than the others, by more than chance,
+    taken from a grid close by: beside a jump of its answer a push may have another valley, a few
+    standard errors away, and as long as it is in the wrong one every step of the fit fails."""
+    if not task.mu_free:
+        return fits
+    numbers = np.maximum(task.counts.sum(axis=1), 1.0)
+    left = np.einsum("mnk,mk->mn", fits.gram[..., -1, -1], 1.0 / fits.spread**2) / numbers
+    usual = np.median(left, axis=1, keepdims=True)
+    outlying = left > usual * (1 + _OUTLYING * np.sqrt(2 / numbers))
+    grid = fits.own[:, :, None] + compute_own_errors(fits)[:, :, None] * _CLOSE
+    return _rescan(task, fits, outlying, grid, 1.0)
 
 
 def compute_own_errors(fits: Fits) -> NDArray:

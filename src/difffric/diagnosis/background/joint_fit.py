@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from difffric.diagnosis.background.evidence import Evidence, PossibleCause
 from difffric.diagnosis.background.growing_horizon import fit_with_growing_horizon
 from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.diagnosis.data import DiagnosisData, choose_subset
@@ -20,6 +21,9 @@ from difffric.estimation.ensemble import EnsembleTask, Fits
 WIDE = 3.0
 """Shares of their units by which small effects are assumed to scatter while they are fitted: more
 than any background has, so that a cause among them is hardly held back."""
+_LEAST_SHARE = 0.1
+"""The share of their units by which the background is assumed to scatter at least, while a set of
+causes is fitted."""
 _FIRST_ROUNDS, _ROUNDS = 6, 15
 """Steps at most of a joint fit, first from the plain fit."""
 ROUGHLY = 1.0
@@ -70,8 +74,16 @@ def try_starts(task: EnsembleTask, starts: Sequence[Fits]) -> tuple[Fits, NDArra
     """Return the fits after a few steps from each of the `starts` with some of the pushes, and the
     squares per number (m,) that they leave of these."""
     some = choose_subset(task) if task.model.recordings else np.arange(task.n)
-    fits = ensemble_refits.refit(task, ensemble.join(*starts), _FEW, some)
-    return fits, ensemble.sum_squares(task, fits, some) / task.counts[some].sum()
+    before = ensemble.join(*starts)
+    fits = ensemble_refits.refit(task, before, _FEW, some)
+    left = ensemble.sum_squares(task, fits, some) / task.counts[some].sum()
+    # The mu_s of the other pushes moves as that of these does on average.
+    unseen = np.delete(np.arange(task.n), some)
+    now, then = (one.mu[:, task.condition] + one.own for one in (fits, before))
+    there = then[:, unseen] + (now - then)[:, some].mean(axis=1, keepdims=True)
+    own = fits.own.copy()
+    own[:, unseen] = there - fits.mu[:, task.condition[unseen]]
+    return replace(fits, own=own), left
 
 
 def follow_leaders(task: EnsembleTask, fits: Fits) -> tuple[Fits, int]:
@@ -79,6 +91,17 @@ def follow_leaders(task: EnsembleTask, fits: Fits) -> tuple[Fits, int]:
     the best few of them go on; and the number of the one that led there."""
     leaders = np.argsort(ensemble.criterion(task, fits))[:_LEADERS]
     ahead = replace(fits.pick(leaders), gram=None, residual=None, damping=None)
-    fits = ensemble_refits.refit(task, ahead, _MORE, tol=ROUGHLY)
+    fits = ensemble_refits.refit_past_jumps(task, ahead, _MORE, tol=ROUGHLY)
     best = int(np.argmin(ensemble.criterion(task, fits)))
     return fits.pick(best), int(leaders[best])
+
+
+def free_causes(
+    task: EnsembleTask, small: SmallEffects, evidence: Evidence, items: Sequence[PossibleCause]
+) -> EnsembleTask:
+    """Return the task of fits in which the `items` have any size, and the other small effects
+    scatter as the evidence says."""
+    share = max(evidence.estimate_share(items), _LEAST_SHARE)
+    free = {item.effect for item in items}
+    causes = {i for i, effect in zip(small.index, small.effects, strict=True) if effect in free}
+    return small.assume(task, share, causes)

@@ -12,13 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from difffric.diagnosis.background.cause_sets import compute_price
+from difffric.diagnosis.background.cause_sets import CauseSet, compute_price, makes_sense
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
 from difffric.diagnosis.background.joint_fit import (
     ROUGHLY,
     WIDE,
     fit_best,
     follow_leaders,
+    free_causes,
     measure_left,
     try_starts,
 )
@@ -29,7 +30,6 @@ from difffric.diagnosis.background.placement import (
     put_small,
 )
 from difffric.diagnosis.background.shape_columns import (
-    Shape,
     compute_columns,
     list_nearby,
     list_placed,
@@ -50,6 +50,8 @@ MOST_EXCESS = 1.5
 trusted."""
 _SHAPES_FITTED, _OF_EACH = 8, 2
 """Shapes from which a fit is begun where they leave more, and of each effect."""
+_SIZES = 5
+"""Sizes from which it is begun of an effect whose size is its shape, where columns misjudge it."""
 _MOST_SHAPED = 20
 """How often effects with a shape are added, or moved, or pushes are looked at anew, at most."""
 ARRIVED = 1.1
@@ -74,9 +76,6 @@ _NEARER, _NEXT_TO_NOTHING = (0.1, 0.5), 10.0
 may grow by that."""
 _EACH = 2.0
 """What each small effect may take from chi-square that is free by chance."""
-_LEAST_SHARE = 0.1
-"""The share of their units by which the background is assumed to scatter at least, while a set of
-causes is fitted."""
 
 
 @dataclass
@@ -115,7 +114,7 @@ class JointSearch:
                 ways += [self.move_shape, self.place_shapes_anew, self.begin_with_one]
             if left > _HARDLY or len(self.shaped) > 1:
                 ways += [self.enlarge_hidden]
-            ways += [self.replace_shape]
+            ways += [self.replace_shape, self.add_misjudged]
             if not any(place(evidence) for place in ways):
                 break
             evidence = self.weigh()
@@ -187,21 +186,29 @@ class JointSearch:
         self.joint = fits
         return True
 
-    def _compare_shapes(self, at: Fits, shapes: Sequence[Shape]) -> Evidence:
-        """Make the comparison of small effects and these shapes."""
-        columns = compute_columns(self.data.task, at, shapes)
-        return Evidence(self.data.task, at, self.small, columns, self.background)
-
     def add_shape(self, evidence: Evidence) -> bool:
         """Add the effect with a shape that helps most; whether any does."""
-        task = self._assume_wide()
-        best = choose_best_shapes(evidence, _OF_EACH)
-        best = [one for one in best if not one.effects & set(self.shaped)]
+        best = [x for x in choose_best_shapes(evidence, _OF_EACH) if not x.effects & {*self.shaped}]
         # The best of each effect before any other: those of a fine grid all seem to explain much.
         first = list({next(iter(one.effects)): one for one in reversed(best)}.values())[::-1]
         first = [*first, *(one for one in best if one not in first)][:_SHAPES_FITTED]
+        return self._add_any(evidence, first)
+
+    def add_misjudged(self, evidence: Evidence) -> bool:
+        """Add that effect whose size is its shape of which columns explain most, but all at sizes
+        that they do not stand for; whether that is better."""
+        best = [one for one in choose_best_shapes(evidence, _SIZES) if one.score > 0]
+        sound = [x for x in best if makes_sense(evidence, x.items, np.array(x.sizes))]
+        known = {effect for one in sound for effect in one.effects} | {*self.shaped}
+        best = [one for one in best if not one.effects & known]
+        return self._add_any(evidence, [one for one in best if one.effects == best[0].effects])
+
+    def _add_any(self, evidence: Evidence, first: Sequence[CauseSet]) -> bool:
+        """Add that of some shapes whose fit is best, if it is better than the joint fit by what it
+        costs; whether it is."""
         if not first:
             return False
+        task = self._assume_wide()
         # What one effect does, small ones together may nearly do: begin without them, too.
         bases = (self.joint, self._forget_small())
         starts = [place_shapes(task, at, one.items, one.sizes) for at in bases for one in first]
@@ -340,7 +347,8 @@ class JointSearch:
         if not nearby:
             return None
         nearby = [*list_placed(task, at, shaped), *nearby]
-        evidence = self._compare_shapes(at, nearby)
+        columns = compute_columns(self.data.task, at, nearby)
+        evidence = Evidence(self.data.task, at, self.small, columns, self.background)
         before = float(ensemble.criterion(task, self.joint)[0])
         for most in range(_AT_ONCE, 0, -1):  # all at once may be too far for a linear prediction
             found = pursue_shapes(evidence, most)
@@ -385,14 +393,3 @@ class JointSearch:
         best = int(np.argmin(ensemble.criterion(task, fits)))
         self.joint = ensemble_refits.refit(task, fits.pick(best), _ROUNDS)
         self.shaped = (*self.shaped, *new)
-
-
-def free_causes(
-    task: EnsembleTask, small: SmallEffects, evidence: Evidence, items: Sequence[PossibleCause]
-) -> EnsembleTask:
-    """Return the task of fits in which the `items` have any size, and the other small effects
-    scatter as the evidence says."""
-    share = max(evidence.estimate_share(items), _LEAST_SHARE)
-    free = {item.effect for item in items}
-    causes = {i for i, effect in zip(small.index, small.effects, strict=True) if effect in free}
-    return small.assume(task, share, causes)

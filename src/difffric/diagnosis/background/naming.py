@@ -52,19 +52,35 @@ _BETTER = 1.05
 def choose_by_fits(task: EnsembleTask, plain: Fits, search: BackgroundSearch) -> BackgroundSearch:
     """Return the search with that set as its best whose fit is: of those that linear answers hardly
     tell apart, and where there is no background, which these fits have not."""
-    rivals: dict[frozenset[str], CauseSet] = {}
-    for one in search.sets:
-        if one.score > search.best.score - _HARDLY_TOLD and len(rivals) < _CONSIDERED:
-            rivals.setdefault(one.effects, one)
-    if len(rivals) < 2 or search.evidence.estimate_share(search.best.items) > BACKGROUND:
+    if search.evidence.estimate_share(search.best.items) > BACKGROUND:
         return search
-    fits = [fit_causes(task, plain, search, one.items) for one in rivals.values()]
+    rivals = _list_rivals(search, search.sets)
+    if len(search.best.items) == 1 and search.first is not search.evidence:
+        # Where one of them was freed, the others may seem to be worse than they are.
+        first = replace(search, evidence=search.first, joint=search.first.at, sets=search.singles)
+        first = replace(first, shaped=tuple(x.effect for x in search.first.list_placed()))
+        rivals = {**_list_rivals(first, search.singles), **rivals}
+    if len(rivals) < 2:
+        return search
+    fits = [fit_causes(task, plain, at, at.best.items) for at in rivals.values()]
     value = [
-        float(ensemble.criterion(task, at)[0]) + 2 * one.price
-        for at, one in zip(fits, rivals.values(), strict=True)
+        float(ensemble.criterion(task, fit)[0]) + 2 * at.best.price
+        for fit, at in zip(fits, rivals.values(), strict=True)
     ]
-    best = list(rivals.values())[int(np.argmin(value))]
-    return replace(search, sets=(best, *(one for one in search.sets if one is not best)))
+    return list(rivals.values())[int(np.argmin(value))]
+
+
+def _list_rivals(
+    search: BackgroundSearch, sets: Sequence[CauseSet]
+) -> dict[frozenset[str], BackgroundSearch]:
+    """List those of the `sets`, the best first, that linear answers hardly tell from the best: of
+    each the search with it as its best."""
+    rivals: dict[frozenset[str], BackgroundSearch] = {}
+    for one in sets:
+        if one.score > sets[0].score - _HARDLY_TOLD and len(rivals) < _CONSIDERED:
+            others = (other for other in search.sets if other is not one)
+            rivals.setdefault(one.effects, replace(search, sets=(one, *others)))
+    return rivals
 
 
 def keep_significant(
@@ -204,7 +220,7 @@ def fit_causes(
     bare = {"extra": extra, "gram": None, "residual": None, "damping": None}
     starts = [replace(search.joint, c=at, **bare)]
     starts += [replace(plain, c=c, **bare) for c in (there, linear)]
-    fits = ensemble_refits.refit(task, ensemble.join(*starts), _ROUNDS)
+    fits = ensemble_refits.refit_past_jumps(task, ensemble.join(*starts), _ROUNDS)
     return fits.pick(int(np.argmin(ensemble.criterion(task, fits))))
 
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from difffric.diagnosis.background.cause_sets import CauseSet, find_set, search_sets
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
-from difffric.diagnosis.background.joint_fit import fit_jointly
-from difffric.diagnosis.background.joint_search import JointSearch, free_causes
+from difffric.diagnosis.background.joint_fit import fit_jointly, free_causes
+from difffric.diagnosis.background.joint_search import JointSearch
 from difffric.diagnosis.background.shape_columns import limit_waves
 from difffric.diagnosis.background.shape_grid import is_near
 from difffric.diagnosis.background.small_effects import (
