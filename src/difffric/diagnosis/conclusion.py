@@ -303,13 +303,15 @@ def _locate_unexplained(
     nothing = not found.causes and not arrived
     if task.model.in_columns:  # free forms cannot be followed in columns
         return None
+    drop = float(ensemble.criterion(task, plain)[0] - ensemble.criterion(task, whole)[0])
     if found.explained:
         much = left > _MUCH and after.excess > _SURELY * np.sqrt(2 * after.expected)
         if not much:
             return None
         tell("looking for the component", 0.92)
-        return locate(task, plain, found.data.scales, found.lack.excess)
-    drop = float(ensemble.criterion(task, plain)[0] - ensemble.criterion(task, whole)[0])
+        location = locate(task, plain, found.data.scales, found.lack.excess)
+        # What no curve explains either is left, beside the causes.
+        return location if location.penalised_drop > _HALF * drop else None
     if found.explained is not None:
         tell("looking for the component", 0.92)
         location = locate(task, plain, found.data.scales, found.lack.excess, found.curves)

@@ -43,12 +43,7 @@ from difffric.diagnosis.impossible_measurements import find_unreachable
 from difffric.diagnosis.inferred.changes import measure_changes
 from difffric.diagnosis.lack_of_fit import LackOfFit, measure_lack_of_fit
 from difffric.diagnosis.score_test import SIGNIFICANT, Score, compute_p_value, run_score_tests
-from difffric.diagnosis.start import (
-    SearchStart,
-    calibrate_plain,
-    fit_plain_model,
-    prepare_start,
-)
+from difffric.diagnosis.start import SearchStart, calibrate_plain, fit_plain_model, prepare_start
 from difffric.diagnosis.verdict import Diagnosis
 from difffric.errors import InputError, NumericalError
 from difffric.estimation import ensemble, ensemble_refits
@@ -284,8 +279,9 @@ class _CauseSearch(CauseRounds):
             self.explained = not compared.is_outside or compared.change < self.matters
             self.curves = (compared.best,)
         poor = found.evidence.excess > MOST_EXCESS or self.explained is False or len(items) > 1
-        like = any(item.effect in _LIKE_BRISTLES for item in items)
-        if PRESLIDING in wanted and (poor or like) and self._add_bristles([base, found.joint]):
+        poor |= not items and share <= BACKGROUND and not self.validation.is_at_floor(base)
+        poor |= any(item.effect in _LIKE_BRISTLES for item in items)
+        if PRESLIDING in wanted and poor and self._add_bristles([base, found.joint]):
             return
         self.base = self.whole = base
         if items and self.tell is not silent:

@@ -35,6 +35,9 @@ BACKGROUND = 0.05
 """Share of their units up to which small effects are none."""
 _HARDLY_TOLD = 5.0
 """Difference of two sets' scores from which on a linear comparison is believed."""
+_DOUBTED, _DOUBTED_MOST = 20.0, 3
+"""How much more of chi-square linear answers may say that another effect leaves, to be held against
+a cause by a fit nevertheless where no background is; and how many are so held."""
 _ROUNDS = 12
 """Steps at most of the fit with the causes alone."""
 _CONSIDERED = 3
@@ -152,7 +155,7 @@ def compare_rivals(
                 cause, effect=effect, penalised_drop=cause.penalised_drop - worse, predicted=0.0
             )
         )
-        if worse < ALIKE:
+        if worse < ALIKE or (by_fits and worse < _DOUBTED and len(fitted) < _DOUBTED_MOST):
             c = base.c.copy()
             c[0, gone] = search.small.null[gone]
             _put(c, task, search, one.items[-1], one.sizes[-len(one.items[-1].columns) :])
