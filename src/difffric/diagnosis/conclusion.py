@@ -57,6 +57,9 @@ _HALF = 0.5
 """Share of what causes explain that a curve in their place has to."""
 _DOUBTED = 0.1
 """The same from which a lone cause is held against components that may bend freely."""
+_MISJUDGED = 0.3
+"""Share of the noise's squares by which these are misjudged at most, where it is correlated and the
+rest before the pushes was short: so much says nothing where no curve explains any of it."""
 _FAR_MORE = 3.0
 """How many times the squares that small effects leave a plain model leaves that is wrong by far
 more than they are."""
@@ -324,6 +327,8 @@ def _locate_unexplained(
     tell("looking for the component", 0.92)
     location = locate(task, plain, found.data.scales, found.lack.excess)
     numbers = len(whole.extra[0]) - len(plain.extra[0])
+    if nothing and location.penalised_drop < 0 and after.excess < _MISJUDGED * after.expected:
+        return None
     bent = location.penalised_drop > drop - numbers * task.price
     return location if nothing or left > LEFT or bent else None
 

@@ -68,7 +68,7 @@ _FEWEST = 3
 """Pushes from which on one can be held out."""
 _ROUNDS = 40
 """Steps at most of a refit with a combination of causes."""
-_LIKE_BRISTLES = ("friction_patch", "friction_ratio")
+_LIKE_BRISTLES = ("friction_patch", "friction_ratio", "friction_waviness")
 """Effects that stiff bristles are taken for."""
 _LIKE_FRICTION = "normal_force"
 """The effect that is one with mu_s where every push has the same mass."""
@@ -272,6 +272,7 @@ class _CauseSearch(CauseRounds):
         base = fit_causes(task, self.plain, found, items)
         if items and share <= BACKGROUND and self._leads_astray(base):
             items, p_values, base = (), [], self.plain
+            found = replace(found, sets=tuple(one for one in found.sets if not one.items))
         if items or share > BACKGROUND:
             self.tell("comparing with free curves", 0.6)
             compared = compare_with_curves(data, found, items, self.plain, base)

@@ -69,7 +69,7 @@ def average_over_sets(
         if one.score > _HARDLY:
             likely.setdefault(one.effects, one)
     some = list(likely.values())[:_MOST_SETS]
-    weight = np.exp([one.score for one in some])
+    weight = np.exp([one.score - some[0].score for one in some])
     weight /= weight.sum()
     means, errors = np.swapaxes([estimate_friction(evidence, one.items) for one in some], 0, 1)
     average = weight @ means
