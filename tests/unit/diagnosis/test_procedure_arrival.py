@@ -46,3 +46,26 @@ def test_a_lag_that_changes_everything_is_followed_to_the_floor(tmp_path):
     assert [cause.id for cause in one.found.causes] == ["pusher_lag"]
     assert one.found.gain.after < 1.05 < one.found.gain.before
     assert one.found.remaining is None and measure_friction_error(one) < 0.002
+
+
+@pytest.mark.slow
+def test_a_dwell_that_each_pushs_own_friction_makes_up_for_is_named_beside_a_scale(tmp_path):
+    one = Analysis(random_case(900009, ["probe_scale", "static_dwell"], 30.0), tmp_path)
+    assert {cause.id for cause in one.found.causes} == {"probe_scale", "static_dwell"}
+    assert one.found.gain.after < 1.02 < one.found.gain.before
+    assert measure_friction_error(one) < 0.005
+
+
+@pytest.mark.slow
+def test_a_fall_of_friction_is_named_though_a_push_is_beside_a_jump(tmp_path):
+    one = Analysis(random_case(400023, "stribeck", 10.0, delta=1.0), tmp_path)
+    assert [cause.id for cause in one.found.causes] == ["stribeck"]
+    assert one.found.gain.after < one.found.gain.before
+    assert measure_friction_error(one) < 0.005
+
+
+@pytest.mark.slow
+def test_what_is_confused_with_a_cause_is_told_though_linear_answers_doubt_it(tmp_path):
+    (cause,) = Analysis(random_case(400031, "tilt", 10.0), tmp_path).found.causes
+    assert {cause.id, *cause.confusable_with} == {"tilt", "friction_ratio"}
+    assert cause.probability < 0.8

@@ -1,11 +1,15 @@
 """How fits of an ensemble move, and when they rest."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from difffric.estimation import ensemble, ensemble_refits
 from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.following.push_answer import AnswerRows
+from tests.unit.diagnosis.linear_rig import LinearModel, make_task, start
 
 
 class _JumpingModel:
@@ -56,3 +60,31 @@ def test_a_fit_that_is_promised_more_goes_on_in_shorter_steps():
     task, at = _start(model, 0.0)
     fits = ensemble_refits.refit(task, at, 40, tol=0.05)
     assert 0.5 < fits.c[0, 1] < model.edge
+
+
+class _Caught(LinearModel):
+    """The first push answers by much more, and in another way, where its log mu_s is positive."""
+
+    def answers(self, index, c, directions, keep_rows=False):
+        answer = super().answers(index, c, directions, True)
+        far = (np.asarray(index) == 0) & (c[:, 0] > 0)
+        rows = answer.rows.copy()
+        rows[:, :, 0, -1] += np.where(far[:, None], (14.0, -2.0), 0.0)
+        return AnswerRows(rows, answer.model).compare(keep_rows)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_push_in_the_wrong_valley_beside_a_jump_is_taken_to_the_other_one(seed):
+    rng = np.random.default_rng(seed)
+    slopes = np.full((8, 2, 1), 1000.0)
+    measured = rng.normal(size=(8, 2))
+    measured[0] -= 2.0  # its own valley is just before the jump
+    task = make_task(slopes, measured, ())
+    task = replace(task, model=_Caught(slopes, measured, ()))
+    at = replace(start(task, 0.01), own=0.004 * (np.arange(8) == 0)[None])
+    stuck = ensemble_refits.refit(task, at, 10)
+    found = ensemble_refits.refit_past_jumps(task, at, 10)
+    assert stuck.own[0, 0] + stuck.mu[0, 0] > 0 > found.own[0, 0] + found.mu[0, 0]
+    assert ensemble.sum_squares(task, found)[0] < ensemble.sum_squares(task, stuck)[0] - 100
+    again = ensemble_refits.rescan_outlying_pushes(task, found)
+    assert again is found  # where none stands out nothing is touched
