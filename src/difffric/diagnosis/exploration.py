@@ -332,10 +332,7 @@ def _extend_to_all_pushes(search: _EffectSearch, fits: Fits, owner: NDArray, som
     """
     task, base = search.task, search.base
     bare = replace(fits, gram=None, residual=None, damping=None)
-    now, before = ((f.mu[:, task.condition] + f.own) for f in (bare, base))
-    total = before + (now - before)[:, some].mean(axis=1, keepdims=True)
-    total[:, some] = now[:, some]
-    whole = replace(bare, own=total - bare.mu[:, task.condition])
+    whole = ensemble_refits.move_unseen(task, bare, base, some)
     back = base.pick(np.zeros(fits.m, int))
     c = back.c.copy()
     for j, k in enumerate(owner):

@@ -1,7 +1,8 @@
 """How an ensemble's fits move: Levenberg-Marquardt within bounds, and pushes that are held out.
 
 `refit` takes all fits to their optima together. Where a push has several mu_s that fit, no small
-step leads from one to another: `rescan_bad_pushes` and `rescan_loose_pushes` look on a grid.
+step leads from one to another: `rescan_bad_pushes`, `rescan_loose_pushes` and
+`rescan_outlying_pushes` look on a grid.
 Axes as in `ensemble`.
 """
 
@@ -255,6 +256,15 @@ def refit_without(
     both = en.join(less, replace(less, c=there, mu=before.mu, own=before.own))
     nearer = int(np.argmin(en.criterion(task, en.evaluate(task, both))))
     return refit(task, both.pick(nearer), rounds)
+
+
+def move_unseen(task: EnsembleTask, fits: Fits, before: Fits, some: NDArray) -> Fits:
+    """The fits, which are to the pushes `some`, with the mu_s of all others moved from where it was
+    `before` by as much as that of these was on average."""
+    now, then = (one.mu[:, task.condition] + one.own for one in (fits, before))
+    total = then + (now - then)[:, some].mean(axis=1, keepdims=True)
+    total[:, some] = now[:, some]
+    return replace(fits, own=total - fits.mu[:, task.condition])
 
 
 def rescan_bad_pushes(

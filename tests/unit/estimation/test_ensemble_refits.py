@@ -88,3 +88,12 @@ def test_a_push_in_the_wrong_valley_beside_a_jump_is_taken_to_the_other_one(seed
     assert ensemble.sum_squares(task, found)[0] < ensemble.sum_squares(task, stuck)[0] - 100
     again = ensemble_refits.rescan_outlying_pushes(task, found)
     assert again is found  # where none stands out nothing is touched
+
+
+def test_pushes_that_a_fit_did_not_see_move_as_those_did_that_it_saw():
+    task = make_task(np.ones((4, 2, 1)), np.zeros((4, 2)), ())
+    before = replace(start(task, 0.01), own=np.array([[0.0, 0.1, 0.2, 0.3]]))
+    after = replace(before, mu=np.array([[1.0]]), own=np.array([[0.2, 0.3, 0.2, 0.3]]))
+    moved = ensemble_refits.move_unseen(task, after, before, np.array([0, 1]))
+    total = (moved.mu + moved.own)[0]
+    np.testing.assert_allclose(total, [1.2, 1.3, 0.2 + 1.2, 0.3 + 1.2])

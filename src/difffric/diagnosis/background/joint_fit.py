@@ -77,13 +77,7 @@ def try_starts(task: EnsembleTask, starts: Sequence[Fits]) -> tuple[Fits, NDArra
     before = ensemble.join(*starts)
     fits = ensemble_refits.refit(task, before, _FEW, some)
     left = ensemble.sum_squares(task, fits, some) / task.counts[some].sum()
-    # The mu_s of the other pushes moves as that of these does on average.
-    unseen = np.delete(np.arange(task.n), some)
-    now, then = (one.mu[:, task.condition] + one.own for one in (fits, before))
-    there = then[:, unseen] + (now - then)[:, some].mean(axis=1, keepdims=True)
-    own = fits.own.copy()
-    own[:, unseen] = there - fits.mu[:, task.condition[unseen]]
-    return replace(fits, own=own), left
+    return ensemble_refits.move_unseen(task, fits, before, some), left
 
 
 def follow_leaders(task: EnsembleTask, fits: Fits) -> tuple[Fits, int]:

@@ -37,7 +37,7 @@ _HARDLY_TOLD = 5.0
 """Difference of two sets' scores from which on a linear comparison is believed."""
 _DOUBTED, _DOUBTED_MOST = 20.0, 3
 """How much more of chi-square linear answers may say that another effect leaves, to be held against
-a cause by a fit nevertheless where no background is; and how many are so held."""
+a cause by a fit nevertheless where no background is; and up to how many are held so in all."""
 _ROUNDS = 12
 """Steps at most of the fit with the causes alone."""
 _CONSIDERED = 3
