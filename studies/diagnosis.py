@@ -234,8 +234,8 @@ def true_model(found, case: cases.Case) -> dict | None:
     catalogue's, or not to be followed."""
     from difffric.diagnosis.cross_validation import assign_folds
     from difffric.diagnosis.score_test import compute_p_value
-    from difffric.estimation import ensemble as en
-    from difffric.estimation import ensemble_refits, held_out
+    from difffric.estimation.ensembles import ensemble as en
+    from difffric.estimation.ensembles import ensemble_refits, held_out
     from difffric.rig.catalogue import numbers_of
 
     state = found.state

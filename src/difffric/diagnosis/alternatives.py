@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.score_test import step_off_null
-from difffric.estimation import ensemble, ensemble_refits
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles import ensemble, ensemble_refits
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import numbers_of
 
 _PARALLEL = 0.8

@@ -35,8 +35,8 @@ from difffric.diagnosis.verdict import (
     HeldOutGain,
     describe_cause,
 )
-from difffric.estimation import ensemble, ensemble_refits
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles import ensemble, ensemble_refits
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.estimation.stacked_data import SLIDES
 from difffric.progress import Tell
 from difffric.rig.catalogue import KEYS, RATIO, numbers_of

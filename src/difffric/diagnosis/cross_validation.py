@@ -9,8 +9,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from difffric.estimation import held_out
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles import held_out
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.measurements.noise import KNOWN_TO
 
 FLOOR = 1e-3

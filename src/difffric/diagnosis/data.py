@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from difffric.compute.pytrees import pick
 from difffric.estimation.block_means import stack_uneven
 from difffric.estimation.effect_coordinates import PLAIN, Coordinates
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.estimation.extended_model import (
     PRESLIDING,
     RECORDINGS,
@@ -291,3 +291,12 @@ def place_at(task: EnsembleTask, rig: Rig, mu_s: NDArray, scatter: float) -> Fit
     mu = np.array([[log_mu[task.condition == k].mean() for k in range(task.conditions)]])
     own = (log_mu - mu[0, task.condition])[None]
     return Fits(((),), c, mu, own, np.array([max(scatter, _LEAST_SCATTER)]), np.ones((1, 2)))
+
+
+def move_unseen(task: EnsembleTask, fits: Fits, before: Fits, some: NDArray) -> Fits:
+    """The fits, which are to the pushes `some`, with the mu_s of all others moved from where it was
+    `before` by as much as that of these was on average."""
+    now, then = (one.mu[:, task.condition] + one.own for one in (fits, before))
+    total = then + (now - then)[:, some].mean(axis=1, keepdims=True)
+    total[:, some] = now[:, some]
+    return replace(fits, own=total - fits.mu[:, task.condition])

@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.diagnosis.data import choose_subset
+from difffric.diagnosis.data import choose_subset, move_unseen
 from difffric.diagnosis.lack_of_fit import is_misfit_large
 from difffric.diagnosis.score_test import SIGNIFICANT, Score, compute_p_value, step_off_null
 from difffric.diagnosis.shape_scan import SHAPED, is_within_travel, scan_shapes
 from difffric.diagnosis.starting_values import list_starting_values
-from difffric.estimation import ensemble, ensemble_refits
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles import ensemble, ensemble_refits, friction_scan
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.estimation.extended_model import PRESLIDING
 from difffric.rig.catalogue import RATIO, numbers_of
 from difffric.rig.scales import Scales
@@ -157,12 +157,12 @@ def is_promising(task: EnsembleTask, base: Fits, effect: str, scales: Scales) ->
 
 def _refit_to_the_end(task: EnsembleTask, fits: Fits, far: bool) -> Fits:
     """Refit to all pushes, once more where a push's own mu_s turns out to be on another branch."""
-    at = ensemble_refits.rescan_bad_pushes(task, fits) if far else fits
+    at = friction_scan.rescan_bad_pushes(task, fits) if far else fits
     fits = ensemble_refits.refit(task, at, _ROUNDS)
     again = (
-        ensemble_refits.rescan_bad_pushes(task, fits)
+        friction_scan.rescan_bad_pushes(task, fits)
         if far
-        else ensemble_refits.rescan_loose_pushes(task, fits)
+        else friction_scan.rescan_loose_pushes(task, fits)
     )
     return fits if again is fits else ensemble_refits.refit(task, again, _ROUNDS)
 
@@ -198,7 +198,7 @@ def _search_near(search: _EffectSearch) -> tuple[Fits, list[str]]:
     # What shows only where a push sticks is a matter of branches.
     jumps = [j for j, effect in enumerate(behind) if search.is_blind(effect)]
     if jumps:
-        branch = ensemble_refits.rescan_loose_pushes(task, fits.pick(jumps))
+        branch = friction_scan.rescan_loose_pushes(task, fits.pick(jumps))
         fits = ensemble_refits.replace_fits(
             fits, np.array(jumps), ensemble_refits.refit(task, branch, 3)
         )
@@ -255,7 +255,7 @@ def _scan_grids(search: _EffectSearch, some: NDArray) -> tuple[Fits, NDArray]:
     fits, owner = ensemble_refits.refit(task, fits.pick(keep), 2, some), owner[keep]
     search.tell(0.5)
     first = np.argsort(ensemble.profile_cost(task, fits))[:_RESCANNED]
-    fits, owner = ensemble_refits.rescan_bad_pushes(task, fits.pick(first), some), owner[first]
+    fits, owner = friction_scan.rescan_bad_pushes(task, fits.pick(first), some), owner[first]
     fits = ensemble_refits.refit(task, fits, 2, some)
     best = _find_best_of_each(ensemble.criterion(task, fits), owner)
     fits, owner = ensemble_refits.refit(task, fits.pick(best), 4, some), owner[best]
@@ -332,7 +332,7 @@ def _extend_to_all_pushes(search: _EffectSearch, fits: Fits, owner: NDArray, som
     """
     task, base = search.task, search.base
     bare = replace(fits, gram=None, residual=None, damping=None)
-    whole = ensemble_refits.move_unseen(task, bare, base, some)
+    whole = move_unseen(task, bare, base, some)
     back = base.pick(np.zeros(fits.m, int))
     c = back.c.copy()
     for j, k in enumerate(owner):

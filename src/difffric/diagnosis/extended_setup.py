@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from difffric.estimation import ensemble
 from difffric.estimation.effect_coordinates import PLAIN
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles import ensemble
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.rig import catalogue, parameters
 from difffric.rig.friction import innermost
 from difffric.rig.rig import Rig

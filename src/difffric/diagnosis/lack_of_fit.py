@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 
 BINS = 12
 """Stretches that each channel of a push is cut into: a misfit lasts longer than a sample."""

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.diagnosis.data import choose_subset
-from difffric.estimation import ensemble, ensemble_refits
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles import ensemble, ensemble_refits
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.rig import free_form
 from difffric.rig.free_form import FORMS
 from difffric.rig.scales import Scales

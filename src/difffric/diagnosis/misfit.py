@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from difffric.diagnosis.data import DiagnosisData
 from difffric.estimation.block_means import UnevenBlocks
-from difffric.estimation.ensemble import Fits
+from difffric.estimation.ensembles.ensemble import Fits
 from difffric.measurements.reduction.reduce import Reduced, Reduction
 from difffric.units import to_mm_min
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.diagnosis.data import DiagnosisData
-from difffric.estimation import ensemble
 from difffric.estimation.block_means import UnevenBlocks, make_uneven, pad_uneven
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles import ensemble
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.estimation.extended_model import StackedPushes
 from difffric.measurements.recordings import Channel
 from difffric.units import to_mm, to_mm_min

@@ -46,8 +46,8 @@ from difffric.diagnosis.score_test import SIGNIFICANT, Score, compute_p_value, r
 from difffric.diagnosis.start import SearchStart, calibrate_plain, fit_plain_model, prepare_start
 from difffric.diagnosis.verdict import Diagnosis
 from difffric.errors import InputError, NumericalError
-from difffric.estimation import ensemble, ensemble_refits
-from difffric.estimation.ensemble import Fits
+from difffric.estimation.ensembles import ensemble, ensemble_refits
+from difffric.estimation.ensembles.ensemble import Fits
 from difffric.estimation.extended_model import PRESLIDING
 from difffric.known_so_far import tell_answer
 from difffric.measurements.pushes import Pushes

@@ -18,8 +18,8 @@ import scipy
 from numpy.typing import NDArray
 
 from difffric.diagnosis.starting_values import SMOOTH_AT_NULL
-from difffric.estimation import ensemble
-from difffric.estimation.ensemble import EnsembleTask, Fits, NormalEquations
+from difffric.estimation.ensembles import ensemble
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits, NormalEquations
 from difffric.rig.catalogue import KEYS, numbers_of
 
 SIGNIFICANT = 1e-3

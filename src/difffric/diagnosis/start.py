@@ -34,8 +34,8 @@ from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.extended_setup import extend_rig, strip_effects
 from difffric.diagnosis.impossible_measurements import find_unreachable
 from difffric.diagnosis.lack_of_fit import is_misfit_large, measure_lack_of_fit
-from difffric.estimation import ensemble, ensemble_refits
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles import ensemble, ensemble_refits, friction_scan
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.estimation.stacked_data import TABLE
 from difffric.measurements.checks import check_data
 from difffric.measurements.pushes import Pushes
@@ -201,7 +201,7 @@ def fit_plain_model(task: EnsembleTask, start: Fits, guess: Fits) -> Fits:
     one)."""
     fits = ensemble_refits.refit(task, start, _ROUNDS)
     if not is_misfit_large(task, fits):
-        again = ensemble_refits.rescan_loose_pushes(task, fits)
+        again = friction_scan.rescan_loose_pushes(task, fits)
         return ensemble_refits.refit_past_jumps(task, again, _ROUNDS)
     level = replace(start, own=np.zeros_like(start.own))
     every = ensemble.join(fits, ensemble_refits.refit(task, ensemble.join(level, guess), _ROUNDS))
@@ -271,14 +271,14 @@ def _fit_best_pushes(task: EnsembleTask, fits: Fits) -> Fits:
     some = np.sort(np.argsort(cost / np.maximum(task.counts.sum(axis=1), 1.0))[: -(-task.n // 2)])
     at = replace(fits, gram=None, residual=None, damping=None)
     at = ensemble.evaluate(task, ensemble_refits.refit(task, at, _LAST_ROUNDS, some))
-    at = ensemble_refits.rescan_bad_pushes(task, at, fine=True)
+    at = friction_scan.rescan_bad_pushes(task, at, fine=True)
     return replace(at, gram=None, residual=None, damping=None)
 
 
 def _rescan_and_refit(task: EnsembleTask, fits: Fits, fine: bool = False) -> Fits:
     """Refit with each push's own mu_s looked for afresh, on a `fine` grid or not, those fits for
     which that leads to a better one."""
-    again = ensemble_refits.rescan_bad_pushes(task, fits, fine=fine)
+    again = friction_scan.rescan_bad_pushes(task, fits, fine=fine)
     moved = np.flatnonzero((again.own != fits.own).any(axis=1))
     if not len(moved):
         return fits

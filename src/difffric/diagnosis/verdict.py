@@ -17,8 +17,8 @@ from difffric.diagnosis.lack_of_fit import LackOfFit
 from difffric.diagnosis.location import Location
 from difffric.diagnosis.misfit import Misfit
 from difffric.diagnosis.next_experiment import Experiment
-from difffric.estimation import ensemble
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles import ensemble
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.number_text import format_number
 from difffric.rig.catalogue import CATALOGUE, RATIO, component_of, numbers_of
 from difffric.rig.rig import Rig

@@ -13,7 +13,7 @@ scatters about the shared one; that is a mixed model. The two engines differ in 
 | recordings | `block_means.stack_even` | `block_means.stack_uneven` |
 | mode | `mixed_model`, `descent`, `following` | `ensemble_refits.refit` |
 | variances | `restricted_likelihood` | `ensemble.estimate_scatters`, on a grid |
-| own mu_s of a push | `push_friction.rescan_push_friction` | `ensemble_refits.rescan_bad_pushes` |
+| own mu_s of a push | `push_friction.rescan_push_friction` | `friction_scan.rescan_bad_pushes` |
 | until all stands | `mixed_fit.settle` | `ensemble_refits.refit` |
 
 Besides: `fisher_information` tells what pushes that were not made yet would say, `open_parameters`

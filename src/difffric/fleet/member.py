@@ -19,8 +19,8 @@ from difffric.diagnosis.score_test import compute_p_value, run_score_tests
 from difffric.diagnosis.start import fit_plain_model, prepare_start
 from difffric.diagnosis.verdict import UNEXPLAINED, Diagnosis
 from difffric.errors import DifffricError
-from difffric.estimation import ensemble as en
-from difffric.estimation import ensemble_refits
+from difffric.estimation.ensembles import ensemble as en
+from difffric.estimation.ensembles import ensemble_refits
 from difffric.fleet.archive import ArchiveFile
 from difffric.fleet.features import MADE_WITH
 from difffric.fleet.sample import MOST, sample

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.estimation.following.push_answer import AnswerRows
 
 

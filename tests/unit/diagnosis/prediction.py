@@ -8,9 +8,9 @@ import numpy as np
 
 from difffric.diagnosis.data import prepare_data
 from difffric.diagnosis.extended_setup import strip_effects
-from difffric.estimation import ensemble_refits
 from difffric.estimation.effect_coordinates import PLAIN
-from difffric.estimation.ensemble import Fits
+from difffric.estimation.ensembles import ensemble_refits, friction_scan
+from difffric.estimation.ensembles.ensemble import Fits
 from difffric.measurements.checks import check_data
 from difffric.measurements.recordings import Recordings
 from difffric.measurements.reduction.reduce import reduce_recordings
@@ -35,6 +35,6 @@ def prediction_error(setup: Setup, data, noise=(0.5, 0.3e-6), **options) -> floa
     mu = np.full((1, task.conditions), np.log(float(values["mu_s"])))
     start = Fits(((),), c, mu, np.zeros((1, task.n)), np.array([0.1]), np.ones((1, 2)))
     at = ensemble_refits.refit(task, start, 10)
-    at = ensemble_refits.refit(task, ensemble_refits.rescan_bad_pushes(task, at), 10)
+    at = ensemble_refits.refit(task, friction_scan.rescan_bad_pushes(task, at), 10)
     squares = at.gram[0, :, :, -1, -1].sum()
     return float(np.sqrt(squares / task.counts.sum()))

@@ -25,7 +25,7 @@ from difffric.diagnosis.background.shape_columns import (
 from difffric.diagnosis.background.shape_pursuit import pursue_shapes
 from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.diagnosis.inferred.friction import compute_friction_errors, find_friction
-from difffric.estimation import ensemble, ensemble_refits
+from difffric.estimation.ensembles import ensemble, ensemble_refits
 from tests.unit.diagnosis.linear_rig import LinearModel, make_task, start
 
 N, EFFECTS = 12, ("tilt", "force_gain", "force_offset", "probe_scale", "initial_gap")

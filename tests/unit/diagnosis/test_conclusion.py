@@ -5,7 +5,7 @@ import pytest
 
 from difffric.diagnosis.conclusion import ALIKE, NamedCause
 from difffric.diagnosis.exploration import CandidateCause
-from difffric.estimation.ensemble import Fits
+from difffric.estimation.ensembles.ensemble import Fits
 
 NO_FITS = Fits(((),), *(np.zeros((1, 1)) for _ in range(3)), np.ones(1), np.ones((1, 2)))
 

@@ -8,8 +8,8 @@ import pytest
 
 from difffric.diagnosis import cross_validation
 from difffric.diagnosis.cross_validation import CrossValidation, assign_folds
-from difffric.estimation import ensemble_refits, held_out
-from difffric.estimation.ensemble import Fits
+from difffric.estimation.ensembles import ensemble_refits, held_out
+from difffric.estimation.ensembles.ensemble import Fits
 from tests.unit.diagnosis.linear_rig import LinearModel, make_task, start
 
 

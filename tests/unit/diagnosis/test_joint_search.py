@@ -16,7 +16,8 @@ from difffric.diagnosis.background.cause_sets import find_set
 from difffric.diagnosis.background.joint_fit import WIDE, measure_left
 from difffric.diagnosis.background.joint_search import JointSearch
 from difffric.diagnosis.background.small_effects import SmallEffects
-from difffric.estimation import ensemble, ensemble_refits
+from difffric.diagnosis.data import move_unseen
+from difffric.estimation.ensembles import ensemble, ensemble_refits
 from tests.unit.diagnosis.linear_rig import make_task, start
 
 N, EFFECTS = 12, ("tilt", "force_gain", "static_dwell")
@@ -135,3 +136,12 @@ def test_fits_that_leave_far_more_after_their_first_steps_are_not_followed(monke
 
     assert count_followed(1.5, 0.0) == 1  # one effect leaves noise
     assert count_followed(1.5, 1.5) == 0  # it takes both
+
+
+def test_pushes_that_a_fit_did_not_see_move_as_those_did_that_it_saw():
+    task = make_task(np.ones((4, 2, 1)), np.zeros((4, 2)), ())
+    before = replace(start(task, 0.01), own=np.array([[0.0, 0.1, 0.2, 0.3]]))
+    after = replace(before, mu=np.array([[1.0]]), own=np.array([[0.2, 0.3, 0.2, 0.3]]))
+    moved = move_unseen(task, after, before, np.array([0, 1]))
+    total = (moved.mu + moved.own)[0]
+    np.testing.assert_allclose(total, [1.2, 1.3, 0.2 + 1.2, 0.3 + 1.2])

@@ -10,7 +10,7 @@ import pytest
 
 from difffric.diagnosis.background.known_columns import collect_rows
 from difffric.diagnosis.background.small_effects import SmallEffects
-from difffric.estimation import ensemble, ensemble_refits
+from difffric.estimation.ensembles import ensemble, ensemble_refits
 from tests.unit.diagnosis.linear_rig import LinearModel, make_task, start
 
 N, K, LAG, GAIN = 10, 1, 2, 3

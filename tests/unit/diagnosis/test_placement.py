@@ -16,7 +16,7 @@ from difffric.diagnosis.background.joint_fit import WIDE
 from difffric.diagnosis.background.shape_columns import Shape, ShapeColumns
 from difffric.diagnosis.background.shape_pursuit import pursue_shapes
 from difffric.diagnosis.background.small_effects import SmallEffects
-from difffric.estimation import ensemble, ensemble_refits
+from difffric.estimation.ensembles import ensemble, ensemble_refits
 from tests.unit.diagnosis.linear_rig import make_task, start
 
 N, EFFECTS = 12, ("tilt", "force_gain", "probe_scale")

@@ -7,7 +7,7 @@ import pytest
 import scipy
 
 from difffric.diagnosis.score_test import compute_p_value, run_score_tests
-from difffric.estimation import ensemble, ensemble_refits
+from difffric.estimation.ensembles import ensemble, ensemble_refits
 from tests.unit.diagnosis.linear_rig import make_task, start
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from difffric.diagnosis.start import find_better_optimum
-from difffric.estimation import ensemble, ensemble_refits
+from difffric.estimation.ensembles import ensemble, ensemble_refits
 from tests.unit.diagnosis.linear_rig import LinearModel, make_task, start
 
 

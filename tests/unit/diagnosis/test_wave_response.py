@@ -10,8 +10,8 @@ from difffric.diagnosis.background import wave_response
 from difffric.diagnosis.background.evidence import Evidence
 from difffric.diagnosis.background.shape_columns import divide_turns, number_wave
 from difffric.diagnosis.background.small_effects import SmallEffects
-from difffric.estimation import ensemble
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles import ensemble
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.estimation.following.push_answer import AnswerRows
 from tests.unit.diagnosis.linear_rig import LinearModel
 

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from difffric.estimation import ensemble, ensemble_refits
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles import ensemble, ensemble_refits, friction_scan
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.estimation.following.push_answer import AnswerRows
 from tests.unit.diagnosis.linear_rig import LinearModel, make_task, start
 
@@ -86,14 +86,47 @@ def test_a_push_in_the_wrong_valley_beside_a_jump_is_taken_to_the_other_one(seed
     found = ensemble_refits.refit_past_jumps(task, at, 10)
     assert stuck.own[0, 0] + stuck.mu[0, 0] > 0 > found.own[0, 0] + found.mu[0, 0]
     assert ensemble.sum_squares(task, found)[0] < ensemble.sum_squares(task, stuck)[0] - 100
-    again = ensemble_refits.rescan_outlying_pushes(task, found)
+    again = friction_scan.rescan_outlying_pushes(task, found)
     assert again is found  # where none stands out nothing is touched
 
 
-def test_pushes_that_a_fit_did_not_see_move_as_those_did_that_it_saw():
-    task = make_task(np.ones((4, 2, 1)), np.zeros((4, 2)), ())
-    before = replace(start(task, 0.01), own=np.array([[0.0, 0.1, 0.2, 0.3]]))
-    after = replace(before, mu=np.array([[1.0]]), own=np.array([[0.2, 0.3, 0.2, 0.3]]))
-    moved = ensemble_refits.move_unseen(task, after, before, np.array([0, 1]))
-    total = (moved.mu + moved.own)[0]
-    np.testing.assert_allclose(total, [1.2, 1.3, 0.2 + 1.2, 0.3 + 1.2])
+class _MovingEdge(LinearModel):
+    """The first push answers by much more from a log mu_s on that is lower where the other
+    coordinate is large."""
+
+    def answers(self, index, c, directions, keep_rows=False):
+        answer = super().answers(index, c, directions, True)
+        far = (np.asarray(index) == 0) & (c[:, 0] > np.where(c[:, 1] < 0.4, 0.001, -0.003))
+        rows = answer.rows.copy()
+        rows[:, :, 0, -1] += np.where(far[:, None], (14.0, -2.0), 0.0)
+        return AnswerRows(rows, answer.model).compare(keep_rows)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_push_that_a_jump_keeps_from_following_does_not_stop_a_step(seed):
+    rng = np.random.default_rng(seed)
+    slopes = np.stack([np.full((8, 2), 1000.0), np.full((8, 2), [0.0, 4.0])], axis=2)
+    slopes[0, :, 1] = 0.0  # the first push tells nothing of the coordinate
+    measured = rng.normal(size=(8, 2)) + slopes[:, :, 1] * 0.8  # it is 0.8
+    measured[0] = -2.0
+    task = make_task(slopes, measured, ("x",), shared=(1,))
+    plain = ensemble_refits.refit(task, start(task, 0.01), 10)
+    at = start(task, 0.01)
+    jumping = replace(task, model=_MovingEdge(slopes, measured, ("x",)))
+    found = ensemble_refits.refit(jumping, at, 10)
+    np.testing.assert_allclose(found.c[0, 1], plain.c[0, 1], atol=0.01)
+
+
+@pytest.mark.parametrize(("nearest", "followed"), [(0.0, 1), (1.0, 2)])
+def test_a_fit_is_given_up_that_leaves_far_more_than_one_that_leaves_noise(
+    monkeypatch, nearest, followed
+):
+    task = make_task(np.full((4, 2, 1), 1000.0), np.zeros((4, 2)), ())
+    near, far = (replace(start(task, 1e-6), mu=np.array([[x]])) for x in (nearest, 2.0))
+    both = ensemble.evaluate(task, ensemble.join(near, far))
+    calls = []
+    monkeypatch.setattr(
+        ensemble_refits, "refit", lambda task, fits, *_, **__: calls.append(fits.m) or fits
+    )
+    found = ensemble_refits.refit_hopeful(task, both, 40)
+    assert (found.m, calls) == (2, [2, followed])

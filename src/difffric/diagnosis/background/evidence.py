@@ -24,7 +24,7 @@ from scipy.special import logsumexp
 from difffric.diagnosis.background.known_columns import collect_rows
 from difffric.diagnosis.background.shape_columns import Shape, ShapeColumns, join_columns
 from difffric.diagnosis.background.small_effects import SmallEffects
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 
 SHARES = np.array([0.03, 0.06, 0.12, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8])
 """Shares of their units by which background effects may scatter."""

@@ -28,8 +28,8 @@ from difffric.diagnosis.conclusion import TOO_MANY
 from difffric.diagnosis.data import DiagnosisData
 from difffric.diagnosis.inferred.changes import compare_readings
 from difffric.diagnosis.location import add_free_forms
-from difffric.estimation import ensemble
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles import ensemble
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.rig import free_form
 from difffric.rig.free_form import FORMS
 

@@ -21,7 +21,7 @@ from difffric.diagnosis.inferred.friction import (
     differentiate_friction,
     find_friction,
 )
-from difffric.estimation.ensemble import Fits
+from difffric.estimation.ensembles.ensemble import Fits
 
 _LEAST = 1e-3
 """Probability of a scatter and a share below which they are not looked at."""

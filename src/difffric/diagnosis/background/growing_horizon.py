@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from difffric.diagnosis.background.size_scan import FROM_AFAR, place_cutting_effects
 from difffric.diagnosis.data import DiagnosisData
 from difffric.diagnosis.starting_values import find_contact_time
-from difffric.estimation import ensemble, ensemble_refits
 from difffric.estimation.block_means import LONGEST, UnevenBlocks
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles import ensemble, ensemble_refits, friction_scan
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 
 _HORIZONS = (1.5, 4.0)
 """The first horizons, in times for which the part and the tip touch."""
@@ -66,7 +66,7 @@ def _look_for_own(task: EnsembleTask, fits: Fits) -> Fits:
     j, i = (x.ravel() for x in np.indices((fits.m, task.n)))
     mu = fits.mu[j, task.condition[i]]
     tried = np.tile(_OWN, (len(j), 1))
-    squares = ensemble_refits.sum_squares_at(task, fits, j, i, fits.c[j], mu, tried)
+    squares = friction_scan.sum_squares_at(task, fits, j, i, fits.c[j], mu, tried)
     log_mu = mu + _OWN[np.argmin(squares, axis=1)]
     log_mu = log_mu.reshape(fits.m, task.n)
     of_each = [task.condition == k for k in range(task.conditions)]

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
 from difffric.diagnosis.background.growing_horizon import fit_with_growing_horizon
 from difffric.diagnosis.background.small_effects import SmallEffects
-from difffric.diagnosis.data import DiagnosisData, choose_subset
-from difffric.estimation import ensemble, ensemble_refits
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.diagnosis.data import DiagnosisData, choose_subset, move_unseen
+from difffric.estimation.ensembles import ensemble, ensemble_refits
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 
 WIDE = 3.0
 """Shares of their units by which small effects are assumed to scatter while they are fitted: more
@@ -77,7 +77,7 @@ def try_starts(task: EnsembleTask, starts: Sequence[Fits]) -> tuple[Fits, NDArra
     before = ensemble.join(*starts)
     fits = ensemble_refits.refit(task, before, _FEW, some)
     left = ensemble.sum_squares(task, fits, some) / task.counts[some].sum()
-    return ensemble_refits.move_unseen(task, fits, before, some), left
+    return move_unseen(task, fits, before, some), left
 
 
 def follow_leaders(task: EnsembleTask, fits: Fits) -> tuple[Fits, int]:

@@ -41,8 +41,8 @@ from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.diagnosis.data import DiagnosisData
 from difffric.diagnosis.score_test import SIGNIFICANT, count_looks
 from difffric.diagnosis.starting_values import list_starting_values
-from difffric.estimation import ensemble, ensemble_refits
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles import ensemble, ensemble_refits, friction_scan
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import numbers_of
 
 MOST_EXCESS = 1.5
@@ -145,7 +145,7 @@ class JointSearch:
     def rescan_own(self, evidence: Evidence) -> bool:
         """Look for the mu_s of pushes that fit badly on a grid; whether that is better."""
         task = self._assume_wide()
-        start = ensemble_refits.rescan_bad_pushes(task, self.joint, fine=True)
+        start = friction_scan.rescan_bad_pushes(task, self.joint, fine=True)
         return start is not self.joint and self._follow_start(task, start)
 
     def enlarge_hidden(self, evidence: Evidence) -> bool:
@@ -161,7 +161,7 @@ class JointSearch:
         if not starts:
             return False
         at = ensemble_refits.settle_narrowly(task, ensemble.join(*starts))
-        at = ensemble_refits.settle_narrowly(task, ensemble_refits.rescan_bad_pushes(task, at))
+        at = ensemble_refits.settle_narrowly(task, friction_scan.rescan_bad_pushes(task, at))
         best = at.pick(int(np.argmin(ensemble.sum_squares(task, at))))
         return self._follow_start(task, replace(best, gram=None, residual=None, damping=None))
 

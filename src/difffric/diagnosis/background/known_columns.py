@@ -14,7 +14,7 @@ from difffric.diagnosis.background.small_effects import (
     count_rows,
     step_off_null,
 )
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import numbers_of
 
 _JUMP, _WRONG = 10.0, 0.25

@@ -21,8 +21,8 @@ from difffric.diagnosis.background.search import BackgroundSearch
 from difffric.diagnosis.conclusion import ALIKE
 from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.score_test import count_looks
-from difffric.estimation import ensemble, ensemble_refits
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles import ensemble, ensemble_refits
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import numbers_of
 
 USUAL_SHARE = 0.4
@@ -70,7 +70,8 @@ def choose_by_fits(task: EnsembleTask, plain: Fits, search: BackgroundSearch) ->
         float(ensemble.criterion(task, fit)[0]) + 2 * at.best.price
         for fit, at in zip(fits, rivals.values(), strict=True)
     ]
-    return list(rivals.values())[int(np.argmin(value))]
+    best = int(np.argmin(value))
+    return replace(list(rivals.values())[best], fitted=fits[best])
 
 
 def _list_rivals(
@@ -172,7 +173,8 @@ def compare_rivals(
             fitted.append((len(rivals) - 1, 2 * (one.price - paid)))
     if starts:
         rounds = _ROUNDS if by_fits else _FEW_ROUNDS
-        fits = ensemble_refits.refit(task, ensemble.join(*starts), rounds)
+        least = float(ensemble.profile_cost(task, base)[0])
+        fits = ensemble_refits.refit_hopeful(task, ensemble.join(*starts), rounds, least)
         worse = ensemble.criterion(task, fits) - ensemble.criterion(task, base)[0]
         for j, (k, dearer) in enumerate(fitted):
             better = 2 * j + int(np.argmin(worse[2 * j : 2 * j + 2]))
@@ -206,6 +208,9 @@ def fit_causes(
     """Return the best fit with these causes and no background, begun from the joint fit, and from
     the plain one with the causes as that has them and as the comparison does (all ensembles of
     one)."""
+    best = search.best.items
+    if search.fitted is not None and len(items) == len(best):  # none was left out since
+        return search.fitted
     if not items and measure_left(task, plain) < _BETTER * measure_left(task, search.joint):
         return plain
     index = task.model.coordinates.indices([n for x in items for n in numbers_of(x.effect)])
@@ -245,6 +250,12 @@ def fit_singles(task: EnsembleTask, plain: Fits, search: BackgroundSearch) -> li
         starts.append(replace(plain, c=c, extra=(extra,), gram=None, residual=None, damping=None))
     fits = ensemble_refits.refit(task, ensemble.join(*starts), _FEW_ROUNDS)
     drops = float(ensemble.criterion(task, plain)[0]) - ensemble.criterion(task, fits)
+    astray = np.flatnonzero(drops < 0)
+    if len(astray):  # linear sizes were no guide: from none of it
+        null = replace(ensemble.join(*starts), c=np.repeat(plain.c, len(starts), axis=0))
+        again = ensemble_refits.refit(task, null.pick(astray), _FEW_ROUNDS)
+        fits = ensemble_refits.replace_fits(fits, astray, again)
+        drops = float(ensemble.criterion(task, plain)[0]) - ensemble.criterion(task, fits)
     out = []
     for j, (item, one) in enumerate(found):
         price = 2 * compute_price(search.first, [item])

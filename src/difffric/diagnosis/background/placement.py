@@ -17,8 +17,8 @@ from difffric.diagnosis.background.joint_fit import WIDE
 from difffric.diagnosis.background.known_columns import list_known
 from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.diagnosis.data import choose_subset
-from difffric.estimation import ensemble
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles import ensemble
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import numbers_of
 
 _BEGUN = 5

@@ -24,7 +24,7 @@ from difffric.diagnosis.background.small_effects import (
     measure_units,
 )
 from difffric.diagnosis.data import DiagnosisData
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 
 _COMPARISONS = 3
 """How often the sets are compared, each time where the last one's best set led."""
@@ -50,6 +50,8 @@ class BackgroundSearch:
     """where they were compared"""
     shaped: tuple[str, ...]
     """effects with a shape that are in the joint fit"""
+    fitted: Fits | None = None
+    """the fit with the most probable set and no background (an ensemble of one), once it is known"""
 
     @property
     def best(self) -> CauseSet:

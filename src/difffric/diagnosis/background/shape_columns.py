@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from difffric.diagnosis.background.small_effects import UNIT_CHANGE, ask_at, measure_change
 from difffric.diagnosis.starting_values import list_starting_values
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import CATALOGUE, numbers_of
 from difffric.rig.scales import Scales
 

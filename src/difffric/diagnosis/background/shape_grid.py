@@ -27,7 +27,7 @@ from difffric.diagnosis.background.wave_response import (
     sample_waves,
 )
 from difffric.diagnosis.data import DiagnosisData
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import numbers_of
 
 _NEAR = 1.0

@@ -12,7 +12,7 @@ import numpy as np
 
 from difffric.diagnosis.background.small_effects import ask_at
 from difffric.diagnosis.starting_values import list_starting_values
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import numbers_of
 from difffric.rig.scales import Scales
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from difffric.diagnosis.score_test import OFF_NULL
 from difffric.diagnosis.starting_values import SMOOTH_AT_NULL
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import RATIO, numbers_of
 
 UNIT_CHANGE = 0.005

@@ -24,7 +24,7 @@ from difffric.diagnosis.background.shape_columns import (
     number_wave,
 )
 from difffric.diagnosis.background.small_effects import ask_pushes, measure_change
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 
 Complex = NDArray[np.complex128]
 

@@ -17,7 +17,7 @@ from difffric.diagnosis.lack_of_fit import is_misfit_large, measure_lack_of_fit
 from difffric.diagnosis.score_test import SIGNIFICANT, Score, compute_p_value, run_score_tests
 from difffric.diagnosis.start import find_better_base, find_better_optimum
 from difffric.diagnosis.starting_values import SMOOTH_AT_NULL
-from difffric.estimation import ensemble_refits
+from difffric.estimation.ensembles import ensemble_refits
 from difffric.estimation.extended_model import PRESLIDING
 
 MOST = 3

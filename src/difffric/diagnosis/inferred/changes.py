@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.diagnosis.inferred.friction import find_friction
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import numbers_of
 
 _STEP = 1e-3

@@ -1,9 +1,7 @@
 """How an ensemble's fits move: Levenberg-Marquardt within bounds, and pushes that are held out.
 
-`refit` takes all fits to their optima together. Where a push has several mu_s that fit, no small
-step leads from one to another: `rescan_bad_pushes`, `rescan_loose_pushes` and
-`rescan_outlying_pushes` look on a grid.
-Axes as in `ensemble`.
+`refit` takes all fits to their optima together; where a push has several mu_s that fit, it asks
+`friction_scan`. Axes as in `ensemble`.
 """
 
 from __future__ import annotations
@@ -15,10 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from difffric.estimation import ensemble as en
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles import ensemble as en
+from difffric.estimation.ensembles import friction_scan
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.estimation.following.differenced_model import DifferencedModel
 
+_FIRST, _HOPELESS = 4, 2.0
+"""Rounds after which a fit is given up that leaves so many times as much as its best rival."""
 _STALE = 1.0
 """Standard deviations that a push's own mu_s may be off where a fit stands."""
 _NOTHING = 1e-6
@@ -33,19 +34,6 @@ _SETTLING = 2
 """Times that it is brought closer."""
 _FAR = 0.5
 """A push's own log mu_s is not moved further than this at once: a linear prediction is no guide."""
-_BAD = 3.0
-"""Squared residual per number from which a push fits badly."""
-_OWN = np.linspace(-0.35, 0.35, 21)
-_FINE = np.linspace(-0.7, 0.7, 113)
-"""The own log mu_s that are tried in a push that fits badly, and those where that led nowhere."""
-LOOSE, _NEAR = 5e-4, np.linspace(-3.0, 3.0, 13)
-"""The standard error of a push's own log mu_s from which it is looked for on a grid, and the grid
-in units of it."""
-_OUTLYING, _CLOSE = 2.5, np.linspace(-12.0, 12.0, 49)
-"""Standard deviations of what noise leaves of a push, by which one fits worse than the others, and
-the own log mu_s that are tried then, in units of its standard error."""
-_WORTH = 1.0
-"""By how much a sum of squares must fall to be worth another branch."""
 
 
 def solve_within(
@@ -206,7 +194,7 @@ def refit(
         fits = en.estimate_scatters(task, _settle_own(task, fits, pushes))
     damping = fits.damping if fits.damping is not None else np.full(fits.m, 1e-3)
     counted = task.counts.sum() if pushes is None else task.counts[pushes].sum()
-    active = np.ones(fits.m, bool)
+    active, failed = np.ones(fits.m, bool), np.zeros(fits.m, int)
     for _ in range(rounds):
         which = np.flatnonzero(active)
         if not len(which):
@@ -214,12 +202,13 @@ def refit(
         at = fits.pick(which)
         moved, promised = _predict_step(task, at, damping[which])
         many = _has_many(task, at)
-        settle = settle_narrowly if many else _settle_own
-        trial = settle(task, moved, pushes)
         before = en.profile_cost(task, at)
-        after = en.profile_cost(replace(task, shared=()) if many else task, _keep_own(trial, many))
+        trial, after = _try_step(task, at, moved, before, pushes, many)
         better = after < before
-        damping[which] = np.where(better, np.maximum(damping[which] / 8, 1e-9), damping[which] * 8)
+        failed[which] = np.where(better, 0, failed[which] + 1)
+        harder = np.where(failed[which] > 1, 64.0, 8.0)
+        damping[which] *= np.where(better, 1 / 8, harder)
+        damping = np.maximum(damping, 1e-9)
         # Where a step that promises so little fails, shorter ones promise less.
         least = np.where(better, tol, np.clip(_NOTHING * before, tol, 1.0))
         least = np.maximum(least, _LITTLE * (before - _FAR_ABOVE * counted))
@@ -234,12 +223,63 @@ def refit(
     return replace(fits, damping=damping)
 
 
+def _try_step(
+    task: EnsembleTask,
+    at: Fits,
+    moved: Fits,
+    before: NDArray,
+    pushes: NDArray | None,
+    narrow: bool,
+) -> tuple[Fits, NDArray]:
+    """The fits after a step from `at`, where they cost `before` (m,), to `moved`, and what they
+    cost there (m,). A few pushes that a jump of their answer keeps from following are taken over
+    it. With `narrow` the answers have no derivatives but by the own mu_s."""
+
+    def answer(fits: Fits) -> tuple[Fits, NDArray]:
+        found = (settle_narrowly if narrow else _settle_own)(task, fits, pushes)
+        known = replace(task, shared=()) if narrow else task
+        return found, en.profile_cost(known, _keep_own(found, narrow))
+
+    trial, after = answer(moved)
+    freed = friction_scan.rescan_caught_pushes(task, at, trial, after > before, pushes)
+    which = np.flatnonzero((freed.own != trial.own).any(axis=1))
+    if len(which):
+        again, cost = answer(freed.pick(which))
+        good = cost < after[which]
+        trial = replace_fits(trial, which[good], again.pick(np.flatnonzero(good)))
+        after[which[good]] = cost[good]
+    return trial, after
+
+
+def refit_hopeful(
+    task: EnsembleTask,
+    fits: Fits,
+    rounds: int,
+    reference: float = np.inf,
+    tol: float = _GAINED,
+) -> Fits:
+    """The fits after at most so many `rounds`; those that leave far more than the best of them
+    after a few, or than a `reference` sum of squares, are given up there, if that leaves little
+    more than noise: they compete to explain the same data."""
+    fits = refit(task, fits, min(rounds, _FIRST), tol=tol)
+    cost = en.profile_cost(task, fits)
+    best = min(float(cost.min()), reference)
+    hopeless = (cost > _HOPELESS * best) & (best < _FAR_ABOVE * task.counts.sum())
+    which = np.flatnonzero(~hopeless)
+    if rounds <= _FIRST or not len(which):
+        return fits
+    return replace_fits(fits, which, refit(task, fits.pick(which), rounds - _FIRST, tol=tol))
+
+
 def refit_past_jumps(task: EnsembleTask, fits: Fits, rounds: int, tol: float = _GAINED) -> Fits:
-    """The fits after at most so many `rounds`, and as many again where a push that is beside a jump
-    of its answer has kept one from moving."""
-    fits = refit(task, fits, rounds, tol=tol)
-    again = rescan_outlying_pushes(task, fits)
-    return fits if again is fits else refit(task, again, rounds, tol=tol)
+    """The fits, of which the best is wanted, after at most so many `rounds`, and as many again
+    where a push that is beside a jump of its answer has kept one from moving."""
+    fits = refit_hopeful(task, fits, rounds, tol=tol)
+    cost = en.profile_cost(task, fits)
+    near = np.flatnonzero(cost <= _HOPELESS * cost.min())
+    there = fits.pick(near)
+    again = friction_scan.rescan_outlying_pushes(task, there)
+    return fits if again is there else replace_fits(fits, near, refit(task, again, rounds, tol=tol))
 
 
 def refit_without(
@@ -256,101 +296,6 @@ def refit_without(
     both = en.join(less, replace(less, c=there, mu=before.mu, own=before.own))
     nearer = int(np.argmin(en.criterion(task, en.evaluate(task, both))))
     return refit(task, both.pick(nearer), rounds)
-
-
-def move_unseen(task: EnsembleTask, fits: Fits, before: Fits, some: NDArray) -> Fits:
-    """The fits, which are to the pushes `some`, with the mu_s of all others moved from where it was
-    `before` by as much as that of these was on average."""
-    now, then = (one.mu[:, task.condition] + one.own for one in (fits, before))
-    total = then + (now - then)[:, some].mean(axis=1, keepdims=True)
-    total[:, some] = now[:, some]
-    return replace(fits, own=total - fits.mu[:, task.condition])
-
-
-def rescan_bad_pushes(
-    task: EnsembleTask, fits: Fits, pushes: NDArray | None = None, fine: bool = False
-) -> Fits:
-    """The fits with the own mu_s of pushes that fit badly taken from a grid where that fits better,
-    a `fine` one or not: beside a strong effect a push may have several mu_s that no small step
-    betters."""
-    if not task.mu_free:
-        return fits
-    which = np.arange(task.n) if pushes is None else np.asarray(pushes)
-    cost = np.einsum("mnk,mk->mn", fits.gram[..., -1, -1], 1.0 / fits.spread**2)
-    bad = np.zeros(cost.shape, bool)
-    bad[:, which] = cost[:, which] > _BAD * np.maximum(task.counts[which].sum(axis=1), 1.0)
-    grid = _FINE if fine else _OWN
-    return _rescan(task, fits, bad, np.broadcast_to(grid, (*bad.shape, len(grid))), 0.0)
-
-
-def rescan_loose_pushes(task: EnsembleTask, fits: Fits) -> Fits:
-    """The fits with the own mu_s of pushes that hardly tell it taken from a grid, within what they
-    leave open: where a push sticks, its answer jumps with mu_s, and no derivative says so."""
-    if not task.mu_free:
-        return fits
-    error = compute_own_errors(fits)
-    return _rescan(task, fits, error > LOOSE, make_own_grid(fits, error), 1.0)
-
-
-def rescan_outlying_pushes(task: EnsembleTask, fits: Fits) -> Fits:
-    """The fits with the own mu_s of pushes that fit worse than the others, by more than chance,
-    taken from a grid close by: beside a jump of its answer a push may have another valley, a few
-    standard errors away, and as long as it is in the wrong one every step of the fit fails."""
-    if not task.mu_free:
-        return fits
-    numbers = np.maximum(task.counts.sum(axis=1), 1.0)
-    left = np.einsum("mnk,mk->mn", fits.gram[..., -1, -1], 1.0 / fits.spread**2) / numbers
-    usual = np.median(left, axis=1, keepdims=True)
-    outlying = left > usual * (1 + _OUTLYING * np.sqrt(2 / numbers))
-    grid = fits.own[:, :, None] + compute_own_errors(fits)[:, :, None] * _CLOSE
-    return _rescan(task, fits, outlying, grid, 1.0)
-
-
-def compute_own_errors(fits: Fits) -> NDArray:
-    """The standard error (m, n) of each push's own log mu_s."""
-    z = np.einsum("mnk,mk->mn", fits.gram[:, :, :, 0, 0], 1.0 / fits.spread**2)
-    return (z + 1.0 / fits.scatter[:, None] ** 2) ** -0.5
-
-
-def make_own_grid(fits: Fits, error: NDArray) -> NDArray:
-    """The own log mu_s (m, n, values) to try, within what the pushes leave open."""
-    return fits.own[:, :, None] + error[:, :, None] * _NEAR
-
-
-def _rescan(task: EnsembleTask, fits: Fits, asked: NDArray, grid: NDArray, charged: float) -> Fits:
-    """The fits with the own mu_s of the pushes `asked` (m, n) from `grid` (m, n, values) where that
-    fits better, or the very same object where none does. `charged` 1 counts what an own mu_s costs
-    beside its scatter, 0 does not."""
-    j, i = np.nonzero(asked)
-    if not len(j):
-        return fits
-    penalty = charged / fits.scatter[j] ** 2
-    before = np.einsum("pk,pk->p", fits.gram[j, i][..., -1, -1], 1.0 / fits.spread[j] ** 2)
-    before = before + penalty * fits.own[j, i] ** 2
-    tried = grid[j, i]
-    squares = sum_squares_at(task, fits, j, i, fits.c[j], fits.mu[j, task.condition[i]], tried)
-    value = squares + penalty[:, None] * tried**2
-    best = np.argmin(value, axis=1)
-    better = np.take_along_axis(value, best[:, None], 1)[:, 0] < before - _WORTH
-    if not better.any():
-        return fits
-    own = fits.own.copy()
-    own[j[better], i[better]] = tried[better, best[better]]
-    return replace(fits, own=own, gram=None, residual=None, damping=None)
-
-
-def sum_squares_at(
-    task: EnsembleTask, fits: Fits, j: NDArray, i: NDArray, c: NDArray, mu: NDArray, own: NDArray
-) -> NDArray:
-    """The sums of squares (N, values) of pushes i (N,) of fits j (N,) at coordinates c (N, K), log
-    mu_s mu (N,) and each of own (N, values); infinite where a push could not be followed."""
-    N, values = own.shape
-    rows = np.repeat(c, values, axis=0)
-    rows[:, 0] = (mu[:, None] + own).ravel()
-    found = task.model.answers(np.repeat(i, values), rows, np.zeros((0, rows.shape[1])))
-    spread = np.repeat(fits.spread[j], values, axis=0)
-    squares = np.einsum("nk,nk->n", found.gram[:, :, -1, -1], 1.0 / spread**2)
-    return np.where(np.isfinite(squares), squares, np.inf).reshape(N, values)
 
 
 def replace_fits(fits: Fits, which: NDArray, new: Fits) -> Fits:

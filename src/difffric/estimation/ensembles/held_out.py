@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.estimation import ensemble as en
-from difffric.estimation import ensemble_refits as refits
-from difffric.estimation.ensemble import EnsembleTask, Fits
+from difffric.estimation.ensembles import ensemble as en
+from difffric.estimation.ensembles import ensemble_refits as refits
+from difffric.estimation.ensembles import friction_scan
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 
 _ASTRAY = 3.0
 """Times what a push's squares are where it is fitted, or would be: a prediction beyond is no mere
@@ -125,15 +126,15 @@ def _choose_branches(
 ) -> Fits:
     """The fits with the own mu_s that is best at coordinates c (m, n, K) and log mu_s mu (m, n), of
     those pushes `asked` (m, n) that hardly tell it, or that are few."""
-    error = refits.compute_own_errors(fits)
+    error = friction_scan.compute_own_errors(fits)
     few = asked.mean(axis=1, keepdims=True) <= _FEW
-    j, i = np.nonzero(asked & (few | (error > refits.LOOSE)))
+    j, i = np.nonzero(asked & (few | (error > friction_scan.LOOSE)))
     if not task.mu_free or not len(j):
         return fits
-    loose = (error > refits.LOOSE)[j, i, None]
+    loose = (error > friction_scan.LOOSE)[j, i, None]
     beside = fits.own[j, i, None] + _BESIDE
-    tried = np.where(loose, refits.make_own_grid(fits, error)[j, i], beside)
-    value = refits.sum_squares_at(task, fits, j, i, c[j, i], mu[j, i], tried)
+    tried = np.where(loose, friction_scan.make_own_grid(fits, error)[j, i], beside)
+    value = friction_scan.sum_squares_at(task, fits, j, i, c[j, i], mu[j, i], tried)
     value = value + (tried / fits.scatter[j, None]) ** 2
     own = fits.own.copy()
     own[j, i] = np.take_along_axis(tried, np.argmin(value, axis=1)[:, None], 1)[:, 0]
