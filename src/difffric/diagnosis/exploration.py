@@ -36,9 +36,10 @@ _ROUNDS = 15
 """Steps at most of a leader's refit to all pushes; a fit that has arrived rests."""
 _ALWAYS_KEPT = 3
 """Leaders that are refitted to the end, however little they explain by then."""
-_HOPELESS = 100.0
+_HOPELESS, _UNREFINED = 100.0, 10.0
 """How many times the noise bristles may leave beyond their rivals once their sizes have been looked
-for: where bristles were hidden they left the noise, and elsewhere 4000 times as much."""
+for: where bristles were hidden they left the noise, and elsewhere 4000 times as much; and how many
+times that before the pushes' own mu_s are looked for."""
 _FAIR_SHARE = 0.3
 """Share of what the best explains from which further ones are refitted to the end, too."""
 _PURSUED = 20
@@ -78,6 +79,8 @@ class _EffectSearch:
     scores: Mapping[str, Score]
     tell: Callable[[float], object]
     """is called with the share that is done"""
+    most: float = np.inf
+    """of -2 log likelihood that an effect may leave in the end"""
 
     @property
     def by_score(self) -> list[str]:
@@ -105,7 +108,7 @@ def explore(
 
     `far` says that the misfit is so large that what is linear at an effect's null may be wrong.
     """
-    search = _EffectSearch(task, base, list(effects), scales, scores, tell)
+    search = _EffectSearch(task, base, list(effects), scales, scores, tell, most)
     fits, names = _search_far(search) if far else _search_near(search)
     before = float(ensemble.criterion(task, base)[0])
     fits, names = _keep_promising(task, fits, names, before, most)
@@ -217,6 +220,8 @@ def _search_far(search: _EffectSearch) -> tuple[Fits, list[str]]:
     quick = not task.model.recordings
     some = np.arange(task.n) if quick else choose_subset(task)
     fits, owner = _scan_grids(search, some)
+    if _is_hopeless(search, fits, 1.0):
+        return fits, []
     most = 2 * _LEADERS if quick else _LEADERS
     leaders = list(np.argsort(ensemble.criterion(task, fits))[:most])
     fits, owner = fits.pick(leaders), owner[leaders]
@@ -254,6 +259,8 @@ def _scan_grids(search: _EffectSearch, some: NDArray) -> tuple[Fits, NDArray]:
     keep = np.argsort(_predict_cost(task, fits)[1])[:_PURSUED]
     fits, owner = ensemble_refits.refit(task, fits.pick(keep), 2, some), owner[keep]
     search.tell(0.5)
+    if _is_hopeless(search, fits, _UNREFINED):
+        return fits, owner
     first = np.argsort(ensemble.profile_cost(task, fits))[:_RESCANNED]
     fits, owner = friction_scan.rescan_bad_pushes(task, fits.pick(first), some), owner[first]
     fits = ensemble_refits.refit(task, fits, 2, some)
@@ -261,6 +268,11 @@ def _scan_grids(search: _EffectSearch, some: NDArray) -> tuple[Fits, NDArray]:
     fits, owner = ensemble_refits.refit(task, fits.pick(best), 4, some), owner[best]
     search.tell(0.65)
     return fits, owner
+
+
+def _is_hopeless(search: _EffectSearch, fits: Fits, times: float) -> bool:
+    """Whether all `fits` leave so many `times` as much of some pushes as may be left of all."""
+    return bool(ensemble.profile_cost(search.task, fits).min() > times * search.most)
 
 
 def _make_starts(
@@ -317,7 +329,7 @@ def _keep_promising(
     order: list[int] = np.argsort(-gain).tolist()
     keep = [
         j
-        for k, j in enumerate(order)
+        for k, j in enumerate(order[: len(names)])
         if (k < _ALWAYS_KEPT or gain[j] > _FAIR_SHARE * gain[order[0]]) and value[j] <= most
     ]
     return fits.pick(keep), [names[j] for j in keep]

@@ -51,7 +51,7 @@ class BackgroundSearch:
     shaped: tuple[str, ...]
     """effects with a shape that are in the joint fit"""
     fitted: Fits | None = None
-    """the fit with the most probable set and no background (an ensemble of one), once it is known"""
+    """the fit with the most probable set and no background (an ensemble of one), once known"""
 
     @property
     def best(self) -> CauseSet:
