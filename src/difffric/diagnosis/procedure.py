@@ -393,5 +393,5 @@ class _CauseSearch(CauseRounds):
         if not effects:
             return base
         task = self.start.data.task
-        gone = task.model.coordinates.indices([x for e in effects for x in numbers_of(e)])
+        gone = [task.model.coordinates.indices(numbers_of(effect)) for effect in effects]
         return ensemble_refits.refit_without(task, base, self.plain, gone, _ROUNDS_WITHOUT)

@@ -117,16 +117,30 @@ def test_a_push_that_a_jump_keeps_from_following_does_not_stop_a_step(seed):
     np.testing.assert_allclose(found.c[0, 1], plain.c[0, 1], atol=0.01)
 
 
-@pytest.mark.parametrize(("nearest", "followed"), [(0.0, 1), (1.0, 2)])
-def test_a_fit_is_given_up_that_leaves_far_more_than_one_that_leaves_noise(
-    monkeypatch, nearest, followed
+@pytest.mark.parametrize(
+    ("nearest", "rival", "hopeful"),
+    [(0.0, np.inf, [True, False]), (1.0, 1.0, [False, False]), (1.0, np.inf, [True, True])],
+)
+def test_a_fit_has_hope_unless_it_leaves_far_more_than_one_that_leaves_noise(
+    nearest, rival, hopeful
 ):
     task = make_task(np.full((4, 2, 1), 1000.0), np.zeros((4, 2)), ())
     near, far = (replace(start(task, 1e-6), mu=np.array([[x]])) for x in (nearest, 2.0))
     both = ensemble.evaluate(task, ensemble.join(near, far))
-    calls = []
-    monkeypatch.setattr(
-        ensemble_refits, "refit", lambda task, fits, *_, **__: calls.append(fits.m) or fits
+    assert ensemble_refits.find_hopeful(task, both, rival).tolist() == hopeful
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_without_an_effect_a_fit_is_as_if_that_had_never_been_free(seed):
+    rng = np.random.default_rng(seed)
+    slopes = 100 * rng.normal(size=(8, 2, 4))
+    task = make_task(slopes, rng.normal(size=(8, 2)), ("x", "y", "z"), shared=(1,))
+    plain = ensemble_refits.refit(task, start(task, 0.01), 10)
+    bare = {"gram": None, "residual": None, "damping": None}
+    with_both = ensemble_refits.refit(task, replace(plain, extra=((2, 3),), **bare), 10)
+    never = ensemble_refits.refit(task, replace(plain, extra=((3,),), **bare), 10)
+    found = ensemble_refits.refit_without(task, with_both, plain, [[2]], 10)
+    assert found.extra == ((3,),) and found.c[0, 2] == plain.c[0, 2]
+    np.testing.assert_allclose(
+        *(ensemble.criterion(task, one) for one in (found, never)), rtol=0, atol=0.05
     )
-    found = ensemble_refits.refit_hopeful(task, both, 40)
-    assert (found.m, calls) == (2, [2, followed])

@@ -174,7 +174,7 @@ def compare_rivals(
     if starts:
         rounds = _ROUNDS if by_fits else _FEW_ROUNDS
         least = float(ensemble.profile_cost(task, base)[0])
-        fits = ensemble_refits.refit_hopeful(task, ensemble.join(*starts), rounds, least)
+        fits = ensemble_refits.refit(task, ensemble.join(*starts), rounds, rival=least)
         worse = ensemble.criterion(task, fits) - ensemble.criterion(task, base)[0]
         for j, (k, dearer) in enumerate(fitted):
             better = 2 * j + int(np.argmin(worse[2 * j : 2 * j + 2]))

@@ -20,6 +20,8 @@ from difffric.estimation.following.differenced_model import DifferencedModel
 
 _FIRST, _HOPELESS = 4, 2.0
 """Rounds after which a fit is given up that leaves so many times as much as its best rival."""
+_CHOICE = 2
+"""Rounds after which one of several starts without an effect is chosen."""
 _STALE = 1.0
 """Standard deviations that a push's own mu_s may be off where a fit stands."""
 _NOTHING = 1e-6
@@ -67,12 +69,18 @@ def take_step(task: EnsembleTask, fits: Fits, damping: ArrayLike) -> Fits:
     return _predict_step(task, fits, damping)[0]
 
 
-def _predict_step(task: EnsembleTask, fits: Fits, damping: ArrayLike) -> tuple[Fits, NDArray]:
-    """The fits after one damped Gauss-Newton step, and the fall of the sum of squares (m,) that
-    their linear models promise of it."""
+def _predict_step(
+    task: EnsembleTask,
+    fits: Fits,
+    damping: ArrayLike,
+    limits: tuple[NDArray, NDArray] | None = None,
+) -> tuple[Fits, NDArray]:
+    """The fits after one damped Gauss-Newton step within `limits`, by default the parameters' own,
+    and the fall of the sum of squares (m,) that their linear models promise of it."""
     found = en.normal_equations(task, fits)
     now = gather_point(task, fits)
-    step = solve_within(found.H, found.g, now, *find_limits(task, fits), damping)
+    limits = find_limits(task, fits) if limits is None else limits
+    step = solve_within(found.H, found.g, now, *limits, damping)
     new = now + step
     weight = 1.0 / (found.z + 1.0 / fits.scatter[:, None] ** 2)
     own = -(found.gm + np.einsum("mnp,mp->mn", found.h, step)) * weight
@@ -183,19 +191,28 @@ def place_at(task: EnsembleTask, fits: Fits, point: NDArray) -> Fits:
 
 
 def refit(
-    task: EnsembleTask, fits: Fits, rounds: int, pushes: NDArray | None = None, tol: float = _GAINED
+    task: EnsembleTask,
+    fits: Fits,
+    rounds: int,
+    pushes: NDArray | None = None,
+    tol: float = _GAINED,
+    rival: float | None = None,
 ) -> Fits:
     """The fits after at most `rounds` of Levenberg-Marquardt, on all pushes or on some.
 
     A fit rests once it has arrived: less than `tol` is left to gain in chi-square, or a small share
     of what it leaves where that is far more than noise: such a fit is on its way to another model.
+    With a `rival` sum of squares, or infinity, only the best fit is wanted: what has no hope to be
+    it after a few rounds rests, too.
     """
     if fits.gram is None:
         fits = en.estimate_scatters(task, _settle_own(task, fits, pushes))
     damping = fits.damping if fits.damping is not None else np.full(fits.m, 1e-3)
     counted = task.counts.sum() if pushes is None else task.counts[pushes].sum()
     active, failed = np.ones(fits.m, bool), np.zeros(fits.m, int)
-    for _ in range(rounds):
+    for k in range(rounds):
+        if k == _FIRST and rival is not None:
+            active &= find_hopeful(task, fits, rival)
         which = np.flatnonzero(active)
         if not len(which):
             break
@@ -203,10 +220,12 @@ def refit(
         moved, promised = _predict_step(task, at, damping[which])
         many = _has_many(task, at)
         before = en.profile_cost(task, at)
-        trial, after = _try_step(task, at, moved, before, pushes, many)
+        # Where far more than noise is left a step fails as it is too long, and not by a jump.
+        near = before < _FAR_ABOVE * counted
+        trial, after = _try_step(task, at, moved, np.where(near, before, np.inf), pushes, many)
         better = after < before
         failed[which] = np.where(better, 0, failed[which] + 1)
-        harder = np.where(failed[which] > 1, 64.0, 8.0)
+        harder = np.where(near & (failed[which] > 1), 64.0, 8.0)
         damping[which] *= np.where(better, 1 / 8, harder)
         damping = np.maximum(damping, 1e-9)
         # Where a step that promises so little fails, shorter ones promise less.
@@ -227,12 +246,12 @@ def _try_step(
     task: EnsembleTask,
     at: Fits,
     moved: Fits,
-    before: NDArray,
+    least: NDArray,
     pushes: NDArray | None,
     narrow: bool,
 ) -> tuple[Fits, NDArray]:
-    """The fits after a step from `at`, where they cost `before` (m,), to `moved`, and what they
-    cost there (m,). A few pushes that a jump of their answer keeps from following are taken over
+    """The fits after a step from `at` to `moved`, and what they cost there (m,). Where that is more
+    than `least` (m,), a few pushes that a jump of their answer keeps from following are taken over
     it. With `narrow` the answers have no derivatives but by the own mu_s."""
 
     def answer(fits: Fits) -> tuple[Fits, NDArray]:
@@ -241,7 +260,7 @@ def _try_step(
         return found, en.profile_cost(known, _keep_own(found, narrow))
 
     trial, after = answer(moved)
-    freed = friction_scan.rescan_caught_pushes(task, at, trial, after > before, pushes)
+    freed = friction_scan.rescan_caught_pushes(task, at, trial, after > least, pushes)
     which = np.flatnonzero((freed.own != trial.own).any(axis=1))
     if len(which):
         again, cost = answer(freed.pick(which))
@@ -251,51 +270,50 @@ def _try_step(
     return trial, after
 
 
-def refit_hopeful(
-    task: EnsembleTask,
-    fits: Fits,
-    rounds: int,
-    reference: float = np.inf,
-    tol: float = _GAINED,
-) -> Fits:
-    """The fits after at most so many `rounds`; those that leave far more than the best of them
-    after a few, or than a `reference` sum of squares, are given up there, if that leaves little
-    more than noise: they compete to explain the same data."""
-    fits = refit(task, fits, min(rounds, _FIRST), tol=tol)
+def find_hopeful(task: EnsembleTask, fits: Fits, reference: float = np.inf) -> NDArray:
+    """Which fits (m,) of those that compete to explain the same data may still be the best: where
+    the best, or a `reference` sum of squares, is little more than noise, no other that leaves far
+    more."""
     cost = en.profile_cost(task, fits)
     best = min(float(cost.min()), reference)
-    hopeless = (cost > _HOPELESS * best) & (best < _FAR_ABOVE * task.counts.sum())
-    which = np.flatnonzero(~hopeless)
-    if rounds <= _FIRST or not len(which):
-        return fits
-    return replace_fits(fits, which, refit(task, fits.pick(which), rounds - _FIRST, tol=tol))
+    return (cost <= _HOPELESS * best) | (best >= _FAR_ABOVE * task.counts.sum())
 
 
 def refit_past_jumps(task: EnsembleTask, fits: Fits, rounds: int, tol: float = _GAINED) -> Fits:
     """The fits, of which the best is wanted, after at most so many `rounds`, and as many again
     where a push that is beside a jump of its answer has kept one from moving."""
-    fits = refit_hopeful(task, fits, rounds, tol=tol)
-    cost = en.profile_cost(task, fits)
-    near = np.flatnonzero(cost <= _HOPELESS * cost.min())
-    there = fits.pick(near)
-    again = friction_scan.rescan_outlying_pushes(task, there)
-    return fits if again is there else replace_fits(fits, near, refit(task, again, rounds, tol=tol))
+    fits = refit(task, fits, rounds, tol=tol, rival=np.inf)
+    which = np.flatnonzero(find_hopeful(task, fits))
+    some = fits.pick(which)
+    again = friction_scan.rescan_outlying_pushes(task, some)
+    return fits if again is some else replace_fits(fits, which, refit(task, again, rounds, tol=tol))
 
 
 def refit_without(
-    task: EnsembleTask, fits: Fits, before: Fits, gone: Sequence[int], rounds: int
+    task: EnsembleTask, fits: Fits, before: Fits, gone: Sequence[Sequence[int]], rounds: int
 ) -> Fits:
-    """Return the fit (an ensemble of one) with the coordinates `gone` as they are in the fit
-    `before`, which has none of them, and all else that is free fitted anew."""
-    c, extra = fits.c.copy(), tuple(i for i in fits.extra[0] if i not in gone)
-    c[0, gone] = before.c[0, gone]
-    less = replace(fits, c=c, extra=(extra,), gram=None, residual=None, damping=None)
-    # Without a strong effect the plain parameters are elsewhere: where they were before.
-    there, shared = c.copy(), list(task.shared)
-    there[0, shared] = before.c[0, shared]
-    both = en.join(less, replace(less, c=there, mu=before.mu, own=before.own))
-    nearer = int(np.argmin(en.criterion(task, en.evaluate(task, both))))
-    return refit(task, both.pick(nearer), rounds)
+    """Return the fit (an ensemble of one) with what is `gone` as it is in the fit `before`, which
+    has none of it, and all else that is free fitted anew; `gone` has the coordinates of each
+    effect, that of its size first."""
+    every, sizes = [i for effect in gone for i in effect], [effect[0] for effect in gone]
+    extra = tuple(i for i in fits.extra[0] if i not in every)
+
+    def start(at: Fits, shared: Fits) -> Fits:
+        c = at.c.copy()
+        c[0, every] = before.c[0, every]
+        c[0, list(task.shared)] = shared.c[0, list(task.shared)]
+        return Fits((extra,), c, shared.mu, shared.own, fits.scatter, fits.spread)
+
+    # Where it stands, where the plain parameters were before, and where all else makes up for it.
+    limits = find_limits(task, fits)
+    for k, i in enumerate(_list_columns(task, fits.extra[0]), start=task.conditions):
+        for limit in limits if i in every else ():
+            limit[0, k] = before.c[0, i] if i in sizes else fits.c[0, i]
+    moved, _ = _predict_step(task, fits, 1e-3, limits)
+    starts = en.join(start(fits, fits), start(fits, before), start(moved, moved))
+    found = refit(task, starts, _CHOICE)
+    best = int(np.argmin(en.criterion(task, found)))
+    return refit(task, found.pick(best), rounds)
 
 
 def replace_fits(fits: Fits, which: NDArray, new: Fits) -> Fits:
