@@ -23,7 +23,8 @@ _FIRST, _HOPELESS = 4, 2.0
 _CHOICE = 2
 """Rounds after which one of several starts without an effect is chosen."""
 _STALE = 1.0
-"""Standard deviations that a push's own mu_s may be off where a fit stands."""
+"""Standard deviations that a push's own mu_s may be off where a fit stands, and what they may cost
+in all."""
 _NOTHING = 1e-6
 """Share of a sum of squares, up to a sum of 1, that is not worth a step where steps have begun to
 fail: the model jumps there."""
@@ -237,6 +238,8 @@ def refit(
             good = trial.pick(np.flatnonzero(better))
             good = en.evaluate(task, good, pushes) if many else good
             good = en.estimate_scatters(task, good)
+            # Where the scatter has fallen each push's own mu_s has to follow it yet.
+            done[better] &= en.profile_cost(task, good) < after[better] + _STALE
             fits = replace_fits(fits, which[better], good)
         active[which[done]] = False
     return replace(fits, damping=damping)
