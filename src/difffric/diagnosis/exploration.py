@@ -221,7 +221,7 @@ def _search_far(search: _EffectSearch) -> tuple[Fits, list[str]]:
     some = np.arange(task.n) if quick else choose_subset(task)
     fits, owner = _scan_grids(search, some)
     if _is_hopeless(search, fits, 1.0):
-        return fits, []
+        return fits.pick([]), []
     most = 2 * _LEADERS if quick else _LEADERS
     leaders = list(np.argsort(ensemble.criterion(task, fits))[:most])
     fits, owner = fits.pick(leaders), owner[leaders]
@@ -329,7 +329,7 @@ def _keep_promising(
     order: list[int] = np.argsort(-gain).tolist()
     keep = [
         j
-        for k, j in enumerate(order[: len(names)])
+        for k, j in enumerate(order)
         if (k < _ALWAYS_KEPT or gain[j] > _FAIR_SHARE * gain[order[0]]) and value[j] <= most
     ]
     return fits.pick(keep), [names[j] for j in keep]

@@ -272,7 +272,8 @@ class _CauseSearch(CauseRounds):
         base = fit_causes(task, self.plain, found, items)
         if items and share <= BACKGROUND and self._leads_astray(base):
             items, p_values, base = (), [], self.plain
-            found = replace(found, sets=tuple(one for one in found.sets if not one.items))
+            none = tuple(one for one in found.sets if not one.items)
+            found = replace(found, sets=none, fitted=None)
         if items or share > BACKGROUND:
             self.tell("comparing with free curves", 0.6)
             compared = compare_with_curves(data, found, items, self.plain, base)

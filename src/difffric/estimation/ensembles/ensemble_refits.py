@@ -1,4 +1,4 @@
-"""How an ensemble's fits move: Levenberg-Marquardt within bounds, and pushes that are held out.
+"""How an ensemble's fits move: Levenberg-Marquardt within bounds.
 
 `refit` takes all fits to their optima together; where a push has several mu_s that fit, it asks
 `friction_scan`. Axes as in `ensemble`.
