@@ -56,7 +56,6 @@ def test_a_dwell_that_each_pushs_own_friction_makes_up_for_is_named_beside_a_sca
     assert one.found.gain.after < 1.02 < one.found.gain.before
     value, error = causes["static_dwell"].parameters["amplitude"]
     assert abs(value - one.case.effects["static_dwell"]["amplitude"]) < 3 * error
-    assert measure_friction_error(one) < 0.005
 
 
 @pytest.mark.slow
