@@ -179,7 +179,7 @@ def apart(fit, other) -> float:
 def main(words: Sequence[str] | None = None) -> int:
     """Run what is missing, print the figures, write the page."""
     asked, shard = runs.arguments("studies.calibration", __doc__ or "", tuple(KINDS), PAGE, words)
-    runs.prepare()
+    runs.prepare(shard)
     folder = asked.results / runs.code("reference")
     sizes = {
         kind: KINDS[kind].cases if asked.cases is None else asked.cases

@@ -311,7 +311,7 @@ def _round(x):
 def main(words: Sequence[str] | None = None) -> int:
     """Run what is missing, print the figures, write the page."""
     asked, shard = runs.arguments("studies.diagnosis", __doc__ or "", tuple(GROUPS), PAGE, words)
-    runs.prepare()
+    runs.prepare(shard)
     name = runs.code("hidden", ROOMS)
     folder, kept = asked.results / "diagnosis" / name, runs.KEPT / "diagnosis" / name
     runs.add_missing(kept, folder)

@@ -117,9 +117,21 @@ def write_into(page: Path, text: str, mark: str = "study") -> None:
     page.write_text(into(before, text, mark), encoding="utf-8")
 
 
-def prepare() -> None:
+def pick_core(shard: tuple[int, int], cores: Sequence[int]) -> set[int]:
+    """The cores for the i-th of n processes: one of its own, or all where it is alone."""
+    i, n = shard
+    return {sorted(cores)[(i - 1) % len(cores)]} if n > 1 else set(cores)
+
+
+def prepare(shard: tuple[int, int] = (1, 1)) -> None:
     """Compiled programs are stored, as the tests' are, and a failed step is a NaN, which the fit
-    takes as a refusal. Before JAX is imported."""
+    takes as a refusal. Before JAX is imported.
+
+    One of several processes keeps to a core: XLA's threads wait for each other by counting, which
+    takes a tenth of the time of two processes on two cores.
+    """
+    if hasattr(os, "sched_setaffinity"):  # Linux
+        os.sched_setaffinity(0, pick_core(shard, list(os.sched_getaffinity(0))))
     from tests import conftest  # 64 bits, and the store of compiled programs
 
     assert conftest.CACHE

@@ -110,7 +110,7 @@ def tabulate(found: dict[tuple[str, float], list[dict]]) -> str:
 def main(words: Sequence[str] | None = None) -> int:
     """Run what is missing, print the figures, write the page."""
     asked, shard = runs.arguments("studies.slides", __doc__ or "", tuple(PARTS), PAGE, words)
-    runs.prepare()
+    runs.prepare(shard)
     folder = asked.results / "slides" / runs.code("reference")
     found, sizes, one = {}, {}, {}
     for part in asked.only or PARTS:

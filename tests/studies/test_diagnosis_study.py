@@ -81,3 +81,9 @@ def test_a_room_that_no_diagnosis_enters_is_no_other_source(tmp_path, monkeypatc
     changed = code()
     (tmp_path / "src" / "difffric" / "units.py").write_text("GRAVITY = 9.81\n", encoding="utf-8")
     assert len({before, changed, code()}) == 3
+
+
+def test_every_process_of_a_study_keeps_to_a_core_of_its_own():
+    assert [runs.pick_core((i, 3), [4, 2, 7]) for i in (1, 2, 3)] == [{2}, {4}, {7}]
+    assert runs.pick_core((3, 3), [0, 1]) == {0}, "more processes than cores take turns"
+    assert runs.pick_core((1, 1), [0, 1]) == {0, 1}, "alone it has all"
