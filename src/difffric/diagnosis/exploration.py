@@ -36,9 +36,9 @@ _ROUNDS = 15
 """Steps at most of a leader's refit to all pushes; a fit that has arrived rests."""
 _ALWAYS_KEPT = 3
 """Leaders that are refitted to the end, however little they explain by then."""
-_HOPELESS, _UNREFINED = 100.0, 10.0
-"""How many times the noise bristles may leave beyond their rivals once their sizes have been looked
-for: where bristles were hidden they left the noise, and elsewhere 4000 times as much; and how many
+_HOPELESS, _UNREFINED = 10.0, 3.0
+"""How many times the noise bristles may leave once their sizes have been looked for: where bristles
+were hidden they left 1.02 to 1.2 times the noise, and elsewhere 40 times at least; and how many
 times that before the pushes' own mu_s are looked for."""
 _FAIR_SHARE = 0.3
 """Share of what the best explains from which further ones are refitted to the end, too."""
@@ -80,7 +80,7 @@ class _EffectSearch:
     tell: Callable[[float], object]
     """is called with the share that is done"""
     most: float = np.inf
-    """of -2 log likelihood that an effect may leave in the end"""
+    """times the noise that an effect may leave once it has been looked for"""
 
     @property
     def by_score(self) -> list[str]:
@@ -104,7 +104,7 @@ def explore(
     most: float = np.inf,
 ) -> list[CandidateCause]:
     """Return the leading effects, each refitted on top of `base`, the best first. Those are left
-    out that are still above `most`, in -2 log likelihood, once they have been looked for.
+    out that leave more than `most` times the noise once they have been looked for.
 
     `far` says that the misfit is so large that what is linear at an effect's null may be wrong.
     """
@@ -130,22 +130,19 @@ def explore(
 
 
 def explore_bristles(
-    task: EnsembleTask, base: Fits, scales: Scales, looked_for: int, least: float
+    task: EnsembleTask, base: Fits, scales: Scales, looked_for: int
 ) -> CandidateCause | None:
-    """Return bristles on top of `base`, the plain fit, where they bring -2 log likelihood below
-    `least` and leave no large misfit; `looked_for` is the number of effects that are looked for.
+    """Return bristles on top of `base`, the plain fit, where they explain it and leave no large
+    misfit; `looked_for` is the number of effects that are looked for.
 
     They have no null, and take a program of their own.
     """
     if not is_promising(task, base, PRESLIDING, scales):
         return None
-    most = least + _HOPELESS * float(task.counts.sum())
-    found = explore(task, base, [PRESLIDING], scales, {}, far=True, most=most)
-    for best in found:
-        if float(ensemble.criterion(task, best.fits)[0]) < least:
-            p_value = compute_p_value(PRESLIDING, best.drop, looked_for)
-            sure = p_value <= SIGNIFICANT and not is_misfit_large(task, best.fits)
-            return replace(best, p_value=p_value) if sure else None
+    for one in explore(task, base, [PRESLIDING], scales, {}, far=True, most=_HOPELESS):
+        p_value = compute_p_value(PRESLIDING, one.drop, looked_for)
+        if p_value <= SIGNIFICANT and not is_misfit_large(task, one.fits):
+            return replace(one, p_value=p_value)
     return None
 
 
@@ -159,15 +156,14 @@ def is_promising(task: EnsembleTask, base: Fits, effect: str, scales: Scales) ->
 
 
 def _refit_to_the_end(task: EnsembleTask, fits: Fits, far: bool) -> Fits:
-    """Refit to all pushes, once more where a push's own mu_s turns out to be on another branch."""
+    """Refit to all pushes, and again where a push's own mu_s turns out to be on another branch."""
     at = friction_scan.rescan_bad_pushes(task, fits) if far else fits
     fits = ensemble_refits.refit(task, at, _ROUNDS)
-    again = (
-        friction_scan.rescan_bad_pushes(task, fits)
-        if far
-        else friction_scan.rescan_loose_pushes(task, fits)
-    )
-    return fits if again is fits else ensemble_refits.refit(task, again, _ROUNDS)
+    bad, loose = friction_scan.rescan_bad_pushes, friction_scan.rescan_loose_pushes
+    for rescan in (bad, loose) if far else (loose,):
+        again = rescan(task, fits)
+        fits = fits if again is fits else ensemble_refits.refit(task, again, _ROUNDS)
+    return fits
 
 
 def _search_near(search: _EffectSearch) -> tuple[Fits, list[str]]:
@@ -220,7 +216,7 @@ def _search_far(search: _EffectSearch) -> tuple[Fits, list[str]]:
     quick = not task.model.recordings
     some = np.arange(task.n) if quick else choose_subset(task)
     fits, owner = _scan_grids(search, some)
-    if _is_hopeless(search, fits, 1.0):
+    if _is_hopeless(search, fits, some, 1.0):
         return fits.pick([]), []
     most = 2 * _LEADERS if quick else _LEADERS
     leaders = list(np.argsort(ensemble.criterion(task, fits))[:most])
@@ -259,7 +255,7 @@ def _scan_grids(search: _EffectSearch, some: NDArray) -> tuple[Fits, NDArray]:
     keep = np.argsort(_predict_cost(task, fits)[1])[:_PURSUED]
     fits, owner = ensemble_refits.refit(task, fits.pick(keep), 2, some), owner[keep]
     search.tell(0.5)
-    if _is_hopeless(search, fits, _UNREFINED):
+    if _is_hopeless(search, fits, some, _UNREFINED):
         return fits, owner
     first = np.argsort(ensemble.profile_cost(task, fits))[:_RESCANNED]
     fits, owner = friction_scan.rescan_bad_pushes(task, fits.pick(first), some), owner[first]
@@ -270,9 +266,10 @@ def _scan_grids(search: _EffectSearch, some: NDArray) -> tuple[Fits, NDArray]:
     return fits, owner
 
 
-def _is_hopeless(search: _EffectSearch, fits: Fits, times: float) -> bool:
-    """Whether all `fits` leave so many `times` as much of some pushes as may be left of all."""
-    return bool(ensemble.profile_cost(search.task, fits).min() > times * search.most)
+def _is_hopeless(search: _EffectSearch, fits: Fits, some: NDArray, times: float) -> bool:
+    """Whether all `fits` to the pushes `some` leave so many `times` as much as they may."""
+    noise = search.task.counts[some].sum()
+    return bool(ensemble.profile_cost(search.task, fits).min() > times * search.most * noise)
 
 
 def _make_starts(
@@ -323,14 +320,15 @@ def _keep_promising(
     task: EnsembleTask, fits: Fits, names: Sequence[str], before: float, most: float
 ) -> tuple[Fits, list[str]]:
     """Keep those that explain a fair share of what the best does by now, and the first few, but for
-    those that leave more than `most`."""
+    those that leave more than `most` times the noise."""
+    left = ensemble.profile_cost(task, fits) / task.counts.sum()
     value = ensemble.criterion(task, fits)
     gain = before - value
     order: list[int] = np.argsort(-gain).tolist()
     keep = [
         j
         for k, j in enumerate(order)
-        if (k < _ALWAYS_KEPT or gain[j] > _FAIR_SHARE * gain[order[0]]) and value[j] <= most
+        if (k < _ALWAYS_KEPT or gain[j] > _FAIR_SHARE * gain[order[0]]) and left[j] <= most
     ]
     return fits.pick(keep), [names[j] for j in keep]
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -41,7 +42,7 @@ from difffric.diagnosis.exploration import CandidateCause, explore_bristles
 from difffric.diagnosis.extended_setup import describe_plain
 from difffric.diagnosis.impossible_measurements import find_unreachable
 from difffric.diagnosis.inferred.changes import measure_changes
-from difffric.diagnosis.lack_of_fit import LackOfFit, measure_lack_of_fit
+from difffric.diagnosis.lack_of_fit import LackOfFit, is_misfit_large, measure_lack_of_fit
 from difffric.diagnosis.score_test import SIGNIFICANT, Score, compute_p_value, run_score_tests
 from difffric.diagnosis.start import SearchStart, calibrate_plain, fit_plain_model, prepare_start
 from difffric.diagnosis.verdict import Diagnosis
@@ -189,7 +190,7 @@ class _CauseSearch(CauseRounds):
             if question:
                 self.named = [NamedCause(question[0], question, self.plain)]
                 self.base = question[0].fits
-        causes = self._list_causes()
+        causes = [one for one in self.named if self._does_matter(one, self.whole or self.base)]
         slight = [one for one in self.named if one not in causes]
         return Findings(
             setup=self.setup,
@@ -239,12 +240,7 @@ class _CauseSearch(CauseRounds):
             return
         self.total = max(self.lack.excess, 1.0)
         self.base = new
-        self.notes = tuple(
-            f"{' and '.join(sorted(rival.parts - found.best.parts))} in place of "
-            f"{' and '.join(sorted(found.best.parts - rival.parts))} explains these data nearly as "
-            f"well (cost {rival.cost:.1f} against {found.best.cost:.1f})"
-            for rival in found.rivals
-        )
+        self.notes = found.describe_rivals()
         for effect in missing:
             without = self._leave_out(new, effect)
             drop = float(ensemble.criterion(task, without)[0] - ensemble.criterion(task, new)[0])
@@ -260,6 +256,9 @@ class _CauseSearch(CauseRounds):
         wanted = self._list_wanted()
         small = [effect for effect in wanted if effect != PRESLIDING]
         self.tell("looking for causes", 0.3)
+        large = PRESLIDING in wanted and is_misfit_large(task, self.plain)
+        if large and self._add_bristles([self.plain], alone=True):  # else nothing arrives
+            return
         found = search_background(data, self.plain, self.start.guess, small, self.matters > 0)
         found = choose_by_fits(task, self.plain, found)
         items, p_values = keep_significant(found.evidence, found.best, SIGNIFICANT)
@@ -326,15 +325,22 @@ class _CauseSearch(CauseRounds):
         self.named += named
         return None
 
-    def _add_bristles(self, rivals: Sequence[Fits]) -> bool:
-        """Add bristles where they alone explain more than each of the `rivals`; whether they do."""
-        data, plain = self.start.data, self.plain
-        self.tell("looking for bristles", 0.65)
-        numbers = len(plain.extra[0]) + len(numbers_of(PRESLIDING))
-        more = data.task.price * np.array([len(one.extra[0]) - numbers for one in rivals])
-        least = float((ensemble.criterion(data.task, ensemble.join(*rivals)) + more).min())
-        one = explore_bristles(data.task, plain, data.scales, len(data.looked_for), least)
-        if one is None:
+    @cached_property
+    def _bristles(self) -> CandidateCause | None:
+        """Bristles on top of the plain fit, where they explain it."""
+        data = self.start.data
+        return explore_bristles(data.task, self.plain, data.scales, len(data.looked_for))
+
+    def _add_bristles(self, rivals: Sequence[Fits], alone: bool = False) -> bool:
+        """Add bristles where they explain more than each of the `rivals`, and `alone`: all that
+        held-out pushes say; whether they do."""
+        self.tell("looking for bristles", 0.3 if alone else 0.65)
+        task, plain, one = self.start.data.task, self.plain, self._bristles
+        if one is None or (alone and not self.validation.is_at_floor(one.fits)):
+            return False
+        value = ensemble.criterion(task, ensemble.join(plain, *rivals))
+        more = np.array([len(rival.extra[0]) - len(plain.extra[0]) for rival in rivals])
+        if one.penalised_drop <= (value[0] - value[1:] - task.price * more).max():
             return False
         self.base = self.whole = one.fits
         self.named, self.considered = [NamedCause(one, (one,), plain)], [one]
@@ -352,10 +358,6 @@ class _CauseSearch(CauseRounds):
         """Return by how much a small effect that is one with mu_s changes it, relatively."""
         share = max(self.share, USUAL_SHARE) if self.share > BACKGROUND else self.share
         return share * UNIT_CHANGE if _LIKE_FRICTION in self.start.data.impossible else 0.0
-
-    def _list_causes(self) -> list[NamedCause]:
-        """List what was added and matters."""
-        return [one for one in self.named if self._does_matter(one, self.whole or self.base)]
 
     def _does_matter(self, one: NamedCause, at: Fits) -> bool:
         """Whether an effect of the fit `at` changes as much as matters, and is unusual."""

@@ -85,6 +85,16 @@ class Explanation:
         free = {name: Extras(None, name in values, None, None) for name in (*plain, *values)}
         return replace(self.setup, rig=rig, extras={**self.setup.extras, **free})
 
+    def describe_rivals(self) -> tuple[str, ...]:
+        """Say of each rival what is in it in the best one's place, and what it costs."""
+        best = self.best
+        return tuple(
+            f"{' and '.join(sorted(one.parts - best.parts))} in place of "
+            f"{' and '.join(sorted(best.parts - one.parts))} explains these data nearly as "
+            f"well (cost {one.cost:.1f} against {best.cost:.1f})"
+            for one in self.rivals
+        )
+
     def as_diagnosis(self, fit: Fit, certificates: Sequence[Certificate]) -> dict[str, Any]:
         """As `result.json` holds a diagnosis; `fit` is the best combination's calibration."""
         weights = [np.exp(0.5 * (self.best.penalised - one.penalised)) for one in self.rivals]

@@ -284,12 +284,16 @@ def find_hopeful(task: EnsembleTask, fits: Fits, reference: float = np.inf) -> N
 
 def refit_past_jumps(task: EnsembleTask, fits: Fits, rounds: int, tol: float = _GAINED) -> Fits:
     """The fits, of which the best is wanted, after at most so many `rounds`, and as many again
-    where a push that is beside a jump of its answer has kept one from moving."""
+    where a push that is beside a jump of its answer has kept one from moving, or has another mu_s
+    that fits better."""
     fits = refit(task, fits, rounds, tol=tol, rival=np.inf)
     which = np.flatnonzero(find_hopeful(task, fits))
-    some = fits.pick(which)
-    again = friction_scan.rescan_outlying_pushes(task, some)
-    return fits if again is some else replace_fits(fits, which, refit(task, again, rounds, tol=tol))
+    for rescan in (friction_scan.rescan_outlying_pushes, friction_scan.rescan_loose_pushes):
+        some = fits.pick(which)
+        again = rescan(task, some)
+        if again is not some:
+            fits = replace_fits(fits, which, refit(task, again, rounds, tol=tol))
+    return fits
 
 
 def refit_without(

@@ -12,7 +12,7 @@ from typing import Any
 
 def map_in_threads(function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
     """`function` of each of the items, in their order, computed by as many threads as there are
-    processors. It must not call this function itself."""
+    processors for this process. It must not call this function itself."""
     given = [(copy_context(), item) for item in items]
     return list(_start_threads().map(lambda one: one[0].run(function, one[1]), given))
 
@@ -20,4 +20,6 @@ def map_in_threads(function: Callable[[Any], Any], items: Iterable[Any]) -> list
 @cache
 def _start_threads() -> ThreadPoolExecutor:
     """The threads, started once: a search asks for some hundred batches of answers."""
-    return ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix="difffric-pushes")
+    own = hasattr(os, "sched_getaffinity")  # not on Windows, nor on macOS
+    count = len(os.sched_getaffinity(0)) if own else os.cpu_count() or 1
+    return ThreadPoolExecutor(count, thread_name_prefix="difffric-pushes")
