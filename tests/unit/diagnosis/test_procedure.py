@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import difffric as df
+from difffric.diagnosis import procedure
 from difffric.diagnosis.alternatives import find_alternatives
 from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.misfit import PHASES
@@ -74,6 +75,15 @@ def test_a_hidden_effect_is_named_sized_and_gains_on_new_pushes(effect, tmp_path
 def test_an_effect_is_named_where_a_push_stands_on_an_edge(effect, seed, strength, tmp_path):
     one = Analysis(random_case(seed, effect, strength), tmp_path)
     assert effect in one.first and len(one.found.causes) == 1
+
+
+@pytest.mark.slow
+def test_strong_bristles_are_told_without_a_search_for_other_causes(tmp_path, monkeypatch):
+    monkeypatch.setattr(procedure, "search_background", None)  # nothing fitted beside them arrives
+    one = Analysis(random_case(700001, "presliding"), tmp_path)
+    assert [cause.id for cause in one.found.causes] == ["presliding"]
+    value, error = one.found.causes[0].parameters["sigma_0_N_per_m"]
+    assert abs(value - one.case.effects["presliding"]["sigma_0_N_per_m"]) < 4 * error
 
 
 def test_nothing_is_named_where_nothing_is_hidden(tmp_path):

@@ -66,6 +66,9 @@ class _Caught(LinearModel):
     """The first push answers by much more, and in another way, where its log mu_s is beyond an
     edge."""
 
+    beyond = (14.0, -2.0)
+    """what its two answers have there in addition"""
+
     def find_edge(self, c):
         """Return the log mu_s (N,) of the edge at coordinates c (N, K)."""
         return np.zeros(len(c))
@@ -74,7 +77,7 @@ class _Caught(LinearModel):
         answer = super().answers(index, c, directions, True)
         far = (np.asarray(index) == 0) & (c[:, 0] > self.find_edge(c))
         rows = answer.rows.copy()
-        rows[:, :, 0, -1] += np.where(far[:, None], (14.0, -2.0), 0.0)
+        rows[:, :, 0, -1] += np.where(far[:, None], self.beyond, 0.0)
         return AnswerRows(rows, answer.model).compare(keep_rows)
 
 
@@ -93,6 +96,27 @@ def test_a_push_in_the_wrong_valley_beside_a_jump_is_taken_to_the_other_one(seed
     assert ensemble.sum_squares(task, found)[0] < ensemble.sum_squares(task, stuck)[0] - 100
     again = friction_scan.rescan_outlying_pushes(task, found)
     assert again is found  # where none stands out nothing is touched
+
+
+class _HardlyCaught(_Caught):
+    """The same, with another valley that fits no worse than chance allows."""
+
+    beyond = (2.5, -0.5)
+
+
+def test_a_push_that_hardly_tells_its_mu_s_is_taken_to_the_better_of_two_valleys():
+    slopes = np.full((8, 2, 1), 1000.0)
+    measured = np.linspace(-10, 10, 8)[:, None] + [1.0, -1.0]
+    measured[0] = -0.5  # just before the jump
+    task = make_task(slopes, measured, ())
+    task = replace(task, model=_HardlyCaught(slopes, measured, ()))
+    at = replace(start(task, 0.01), own=0.0005 * (np.arange(8) == 0)[None])
+    stuck = ensemble_refits.refit(task, at, 10)
+    assert friction_scan.rescan_outlying_pushes(task, stuck) is stuck
+    found = ensemble_refits.refit_past_jumps(task, at, 10)
+    assert stuck.own[0, 0] + stuck.mu[0, 0] > 0 > found.own[0, 0] + found.mu[0, 0]
+    assert ensemble.sum_squares(task, found)[0] < ensemble.sum_squares(task, stuck)[0] - 3
+    assert friction_scan.rescan_loose_pushes(task, found) is found
 
 
 class _CaughtLater(_Caught):
