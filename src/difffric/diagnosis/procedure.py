@@ -190,7 +190,7 @@ class _CauseSearch(CauseRounds):
             if question:
                 self.named = [NamedCause(question[0], question, self.plain)]
                 self.base = question[0].fits
-        causes = [one for one in self.named if self._does_matter(one, self.whole or self.base)]
+        causes = self._list_causes()
         slight = [one for one in self.named if one not in causes]
         return Findings(
             setup=self.setup,

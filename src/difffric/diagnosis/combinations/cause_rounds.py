@@ -41,6 +41,7 @@ class CauseRounds:
     start: Any
     plain: Any
     base: Any
+    whole: Any
     lack: Any
     named: Any
     small: Any
@@ -50,7 +51,6 @@ class CauseRounds:
     total: Any
     validation: Any
     tell: Any
-    _list_causes: Any
     _list_wanted: Any
     _does_matter: Any
     _drop_needless: Any
@@ -62,6 +62,10 @@ class CauseRounds:
                 break
             self._arrive(k)
         self._add_alternatives()
+
+    def _list_causes(self) -> list[Any]:
+        """List what was added and matters."""
+        return [one for one in self.named if self._does_matter(one, self.whole or self.base)]
 
     def _arrive(self, k: int) -> None:
         """Look for a better optimum of the model with what was added by now, while it is not at its
