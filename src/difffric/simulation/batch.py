@@ -6,7 +6,6 @@ threads as there are cores calls it with a share of them.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, lru_cache
@@ -22,6 +21,7 @@ from difffric.compute.precision import require_float64
 from difffric.compute.program_cache import has_own_classes
 from difffric.compute.programs.store import keep_known_options, load_or_compile
 from difffric.compute.xla_options import in_one_piece
+from difffric.cores import count_cores
 from difffric.errors import InputError
 from difffric.rig import parameters
 from difffric.rig.rig import Rig
@@ -77,7 +77,7 @@ def observe_batch(
     rows = [speeds, *(numbers[i] for i in varying)]
     tiles = _TILES[n > _TILE * _TILES[0]]
     program = _compile_batch(structure, varying, tuple(derivatives), tiles)
-    columns = _BatchWork(program, fixed, rows, n).run(threads or _count_cores())
+    columns = _BatchWork(program, fixed, rows, n).run(threads or count_cores())
     seen, by = columns[:4], iter(columns[4:])
     dF, dd = ({name: next(by) for name in derivatives} for _ in range(2))
     return Batch._make([*seen, dF, dd])
@@ -230,9 +230,4 @@ def _may_be_one_piece(rig, integrator) -> bool:
 
 @cache
 def _share_pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(_count_cores(), "difffric")
-
-
-def _count_cores() -> int:
-    has = hasattr(os, "sched_getaffinity")
-    return len(os.sched_getaffinity(0)) if has else os.cpu_count() or 1
+    return ThreadPoolExecutor(count_cores(), "difffric")

@@ -25,6 +25,7 @@ from difffric.compute.programs import record
 from difffric.compute.programs.private_folder import FOLDER
 from difffric.compute.programs.record import Record
 from difffric.compute.programs.store import find_folder
+from difffric.cores import count_cores
 from difffric.errors import DifffricError, InputError
 from difffric.known_so_far import KEPT_ON_DISK, tell_known
 from difffric.progress import Tell, silent
@@ -133,7 +134,7 @@ def make_programs(
     if not work:
         return
     done: dict[int, dict[str, Record]] = {id(setup): {} for setup in missing}
-    count = min(processes or len(os.sched_getaffinity(0)), len(work))
+    count = min(processes or count_cores(), len(work))
     # Ctrl-C reaches them, too: who started them kills them.
     quiet = {"initializer": signal, "initargs": (SIGINT, SIG_IGN)}
     with ProcessPoolExecutor(count, mp_context=get_context("spawn"), **quiet) as pool:

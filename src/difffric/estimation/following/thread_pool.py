@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
 from functools import cache
 from typing import Any
+
+from difffric.cores import count_cores
 
 
 def map_in_threads(function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
@@ -20,6 +21,4 @@ def map_in_threads(function: Callable[[Any], Any], items: Iterable[Any]) -> list
 @cache
 def _start_threads() -> ThreadPoolExecutor:
     """The threads, started once: a search asks for some hundred batches of answers."""
-    own = hasattr(os, "sched_getaffinity")  # not on Windows, nor on macOS
-    count = len(os.sched_getaffinity(0)) if own else os.cpu_count() or 1
-    return ThreadPoolExecutor(count, thread_name_prefix="difffric-pushes")
+    return ThreadPoolExecutor(count_cores(), thread_name_prefix="difffric-pushes")
