@@ -183,14 +183,14 @@ def _search_near(search: _EffectSearch) -> tuple[Fits, list[str]]:
         behind = [*behind, *[effect] * starts.m]
     fits = ensemble.evaluate(task, ensemble.join(*parts))
     search.tell(0.3)
-    _, promised = _predict_cost(task, fits)
+    promised = _predict_criterion(task, fits)
     keep = []
     for effect in dict.fromkeys(behind):
         mine = np.array([j for j, x in enumerate(behind) if x == effect])
         keep += mine[np.argsort(promised[mine])[:2]].tolist()
     fits, behind = ensemble_refits.refit(task, fits.pick(keep), 1), [behind[j] for j in keep]
     # The leaders, and those of the effects that a score test does not see.
-    order: list[int] = np.argsort(_predict_cost(task, fits)[1]).tolist()
+    order: list[int] = np.argsort(_predict_criterion(task, fits)).tolist()
     blind = [j for j in order if search.is_blind(behind[j])]
     keep = sorted({*order[:_TESTED], *blind[:_TESTED]})
     fits, behind = ensemble_refits.refit(task, fits.pick(keep), 2), [behind[j] for j in keep]
@@ -357,6 +357,13 @@ def _predict_cost(task: EnsembleTask, fits: Fits) -> tuple[NDArray, NDArray]:
     found = ensemble.normal_equations(task, fits)
     gain = np.einsum("mp,mp->m", ensemble.solve(found.H, found.g), found.g)
     return found.cost, found.cost + np.minimum(gain, 0.0)
+
+
+def _predict_criterion(task: EnsembleTask, fits: Fits) -> NDArray:
+    """Return the (m,) -2 log likelihoods that one step promises: an effect that leaves less scatter
+    may leave no smaller squares."""
+    z = ensemble.normal_equations(task, fits).z
+    return _predict_cost(task, fits)[1] + ensemble.compute_volume(task, fits, z)
 
 
 def _find_best_of_each(cost: NDArray, owner: Iterable[Hashable]) -> list[int]:

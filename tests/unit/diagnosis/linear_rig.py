@@ -35,6 +35,7 @@ class LinearModel:
             names=names,
             indices=lambda some: [names.index(x) for x in some],
             bounds=lambda name: (-np.inf, np.inf),
+            point=lambda values: np.array(list(values.values())),
             unit=np.ones(len(names)),
             null=np.zeros(len(names)),
         )

@@ -295,7 +295,7 @@ def criterion(task: EnsembleTask, fits: Fits) -> NDArray:
     It is the sum of squares, and what the scatter and the spreads that were estimated cost.
     """
     found = normal_equations(task, fits)
-    return profile_cost(task, fits, found) + _compute_volume(task, fits, found.z)
+    return profile_cost(task, fits, found) + compute_volume(task, fits, found.z)
 
 
 def profile_cost(task: EnsembleTask, fits: Fits, found: NormalEquations | None = None) -> NDArray:
@@ -307,7 +307,7 @@ def profile_cost(task: EnsembleTask, fits: Fits, found: NormalEquations | None =
     return sum_squares(task, fits) - np.minimum(away**2 * weight, 1.0).sum(axis=1)
 
 
-def _compute_volume(task: EnsembleTask, fits: Fits, z: NDArray) -> NDArray:
+def compute_volume(task: EnsembleTask, fits: Fits, z: NDArray) -> NDArray:
     """The logarithmic part (m,) of -2 log likelihood: of the scatter and of estimated spreads."""
     spread = sum(
         2 * task.counts[:, k].sum() * np.log(fits.spread[:, k])

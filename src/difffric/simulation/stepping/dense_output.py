@@ -131,42 +131,52 @@ converged to rounding."""
 class OnePole(NamedTuple):
     """`tau f' = N - f` over a stride, N a polynomial: its exact solution, for any tau >= 0."""
 
-    powers: tuple[Array, ...]
+    powers: Float[Array, "terms *strides"]
     """of N's particular solution, or of f itself where the step is short beside tau"""
-    rest: Float[Array, ""]
+    rest: Float[Array, "*strides"]
     """what decays [N]"""
-    ratio: Float[Array, ""]
+    ratio: Float[Array, "*strides"]
     """step / tau"""
 
     @classmethod
     def of(
         cls,
         N: Sequence[Array] | Array,
-        f_0: Float[Array, ""],
-        h: Float[Array, ""],
+        f_0: Float[Array, "*strides"],
+        h: Float[Array, "*strides"],
         tau: Float[Array, ""] | float,
     ) -> OnePole:
         """From N's coefficients [N], f at the start [N], the step and tau [s]."""
         quick = tau < h
+        N = jnp.stack([*N])
+        none = 0.0 * (N[0] + f_0)
+        # Looped over: written out, XLA computes each power anew from the first one on.
         # Quick: p + p' / ratio = N, from the highest power down.
         inverse = jnp.where(quick, tau, 0.0) / h
-        p = [N[-1]]
-        for n in range(len(N) - 2, -1, -1):
-            p.append(N[n] - (n + 1) * inverse * p[-1])
-        p = p[::-1]
+        n = jnp.arange(1.0, len(N) + 1)
+
+        def go_down(above, given):
+            n, c = given
+            new = c - n * inverse * above
+            return new, new
+
+        _, p = jax.lax.scan(go_down, none, (n, N), reverse=True)
         # Slow: f' = ratio (N - f), from the lowest power up.
         ratio = jnp.where(quick, 0.0, h / jnp.where(quick, 1.0, tau))
-        f = [f_0]
-        for n in range(_TERMS - 1):
-            c = N[n] if n < len(N) else 0.0
-            f.append(ratio * (c - f[-1]) / (n + 1))
-        p += [0.0] * (_TERMS - len(p))
-        powers = tuple(jnp.where(quick, a, b) for a, b in zip(p, f, strict=True))
+        padding = jnp.zeros((_TERMS - len(N), *N.shape[1:]))
+
+        def go_up(below, given):
+            n, c = given
+            return ratio * (c - below) / n, below
+
+        every = jnp.arange(1.0, _TERMS + 1), jnp.concatenate([N, padding])
+        _, f = jax.lax.scan(go_up, f_0 + none, every)
+        powers = jnp.where(quick, jnp.concatenate([p, padding]), f)
         rest = jnp.where(quick, f_0 - p[0], 0.0)
         steep = jnp.where(tau > 0, h / jnp.where(tau > 0, tau, 1.0), jnp.inf)
         return cls(powers, rest, jnp.where(quick, steep, 0.0))
 
-    def value(self, share: Float[ArrayLike, ""]) -> Float[Array, ""]:
+    def value(self, share: Float[ArrayLike, ""]) -> Float[Array, "*strides"]:
         """f [N] at a share of the stride."""
         sharp = jnp.isinf(self.ratio)
         fades = jnp.where(sharp, 0.0, jnp.exp(-jnp.where(sharp, 1.0, self.ratio) * share))

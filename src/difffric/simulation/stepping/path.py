@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -16,13 +17,14 @@ from difffric.rig.rig import Rig
 from difffric.simulation.dynamics import Motion
 from difffric.simulation.stepping.dense_output import Stride
 from difffric.simulation.stepping.loop import StepLoop
-from difffric.simulation.stepping.sensor_readout import Filtered, PassedForce
+from difffric.simulation.stepping.sensor_readout import Filters, PassedForce, filter_strides
 from difffric.simulation.stepping.state import LoopState
 
 _FINE = 9
 """Times at which a peak is looked at closely."""
 _FEW = 16
-"""Strides that filters are taken through at once: more would be wasted on a short push."""
+"""Strides that filters are taken through at once, where the table holds a multiple of so many: more
+would be wasted on a short push."""
 
 
 class PushPath(NamedTuple):
@@ -184,34 +186,32 @@ def _add_filters(path: PushPath, steps: Int[ArrayLike, ""]) -> PushPath:
     """The path with what the force sensor's filters remember at each stride's start; `steps` of
     its rows are filled."""
     sensor, strides = path.motion.rig.force_sensor, path.strides
+    filters = Filters(jnp.asarray(sensor.low, float), jnp.asarray(sensor.slowness, float))
     rows = strides.t.shape[0]
+    size = math.gcd(rows, _FEW)
 
-    def pass_on(state, given):
-        N, h, end, there = given
-        through = Filtered.of(sensor, N, state, h)
-        after = through.low.value(end), through.high.value(end)
-        new = tuple(jnp.where(there, a, b) for a, b in zip(after, state, strict=True))
-        return new, through.summarise()
-
-    def some(first, state):
-        """The next few rows."""
-        index = first + jnp.arange(_FEW)
-        few = jax.tree.map(lambda column: column.at[index].get(mode="clip"), strides)
-        there = jnp.isfinite(few.t) & (index < rows)
-        few = few._replace(h=jnp.where(there, few.h, 1.0))
-        powers = jax.vmap(lambda stride: jnp.stack(stride.force_powers(path.motion)))(few)
-        state, passed = jax.lax.scan(pass_on, state, (powers, few.h, few.end, there))
-        return index, state, passed
+    def filter_few(first, state):
+        few = jax.tree.map(
+            lambda column: jax.lax.dynamic_slice_in_dim(column, first, size), strides
+        )
+        there = jnp.isfinite(few.t)
+        h = jnp.where(there, few.h, 1.0)
+        few = few._replace(h=h)
+        N = jnp.stack(jax.vmap(lambda stride: stride.force_powers(path.motion))(few))
+        return filter_strides(filters, N, h, few.end, there, state)
 
     zero = 0.0 * strides.x[0][0] * strides.h[0]
-    blank = jax.eval_shape(lambda: some(0, (zero, zero))[2])
+    blank = jax.eval_shape(lambda: filter_few(0, (zero, zero))[1])
     table = jax.tree.map(lambda a: jnp.zeros((rows, *a.shape[1:]), a.dtype), blank)
 
     def turn(carry):
         first, state, table = carry
-        index, state, passed = some(first, state)
-        table = jax.tree.map(lambda old, new: old.at[index].set(new, mode="drop"), table, passed)
-        return first + _FEW, state, table
+        state, passed = filter_few(first, state)
+        put = jax.lax.dynamic_update_slice_in_dim
+        table = jax.tree.map(lambda old, new: put(old, new, first, 0), table, passed)
+        return first + size, state, table
 
-    _, _, table = jax.lax.while_loop(lambda carry: carry[0] < steps, turn, (0, (zero, zero), table))
+    _, _, table = jax.lax.while_loop(
+        lambda carry: jnp.less(carry[0], steps), turn, (0, (zero, zero), table)
+    )
     return path._replace(filtered_strides=table)

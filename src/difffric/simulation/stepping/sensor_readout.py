@@ -13,6 +13,7 @@ from jax import Array
 from jax.lax import stop_gradient
 from jaxtyping import ArrayLike, Bool, Float
 
+from difffric.compute.xla_options import in_one_piece
 from difffric.rig.sensors import ForceSensor
 from difffric.simulation.dynamics import Motion
 from difffric.simulation.stepping.dense_output import OnePole, Stride, sum_powers
@@ -102,9 +103,8 @@ class Filtered(NamedTuple):
 
     def summarise(self) -> PassedForce:
         """The same in few numbers."""
-        powers = [a - b for a, b in zip(self.low.powers, self.high.powers, strict=True)]
         return PassedForce(
-            self.share * jnp.stack(powers),
+            self.share * (self.low.powers - self.high.powers),
             self.share * jnp.stack([self.low.rest, -self.high.rest]),
             jnp.stack([self.low.ratio, self.high.ratio]),
         )
@@ -128,6 +128,50 @@ class PassedForce(NamedTuple):
         sharp = jnp.isinf(self.ratios)
         fades = jnp.exp(-jnp.where(sharp, 1.0, self.ratios) * share)
         return total + jnp.sum(jnp.where(sharp, 0.0, self.rests * fades))
+
+
+class Filters(NamedTuple):
+    """A force sensor's filters."""
+
+    low: Array
+    """time constant of the low-pass [s]"""
+    slowness: Array
+    """one over that of the high-pass [1/s]"""
+
+
+@in_one_piece
+def filter_strides(
+    filters: Filters,
+    N: Float[Array, "8 strides"],
+    h: Float[Array, " strides"],
+    end: Float[Array, " strides"],
+    there: Bool[Array, " strides"],
+    state: tuple[Array, Array],
+) -> tuple[tuple[Array, Array], PassedForce]:
+    """What both filters remember after some strides [N], and what they let through of each, with
+    the axis of strides in front.
+
+    N [N] are the coefficients of their forces, h [s] their lengths, of which each counts up to the
+    share `end`; those that are not `there` are passed over. `state` is what is remembered before.
+
+    An answer is affine in what is remembered: it is computed for all strides at once, from nothing
+    and from one, and then passed on as a product and a sum.
+    """
+    none = jnp.zeros_like(h)
+    driven = Filtered.of(filters, N, (none, none), h)
+    left = Filtered.of(filters, 0.0 * N, (none + 1.0, none + 1.0), h)
+
+    def pass_on(own: OnePole, decay: OnePole, f: Array) -> tuple[Array, OnePole]:
+        kept = jnp.where(there, decay.value(end), 1.0)
+        added = jnp.where(there, own.value(end), 0.0)
+        f, before = jax.lax.scan(lambda f, ab: (ab[0] * f + ab[1], f), f, (kept, added))
+        powers = own.powers + before * decay.powers
+        return f, own._replace(powers=powers, rest=own.rest + before * decay.rest)
+
+    f_low, low = pass_on(driven.low, left.low, state[0])
+    f_high, high = pass_on(driven.high, left.high, state[1])
+    passed = driven._replace(low=low, high=high).summarise()
+    return (f_low, f_high), jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), passed)
 
 
 def _find_fall(

@@ -1,0 +1,35 @@
+"""Which effects lead, where what is linear at their nulls is right."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from difffric.diagnosis.exploration import explore
+from difffric.diagnosis.score_test import run_score_tests
+from difffric.estimation.ensembles import ensemble_refits
+from difffric.rig.catalogue import numbers_of
+from tests.unit.diagnosis.linear_rig import make_task, start
+
+OTHERS = ("quadratic_drag", "rebound_damping", "pusher_lag", "channel_skew", "initial_gap")
+UNSEEN = ("static_dwell", "probe_scale", "contact_hardening", "pusher_speed", "force_gain")
+"""Effects that no push shows: all their sizes fit as well as none."""
+
+
+def test_a_drift_leads_that_leaves_no_scatter_and_larger_squares():
+    """Scatter takes a drift in, and leaves smaller squares than it: what scatter costs tells."""
+    n, rng = 100, np.random.default_rng(1)  # of which squares are larger with the drift
+    effects = ("friction_drift", *OTHERS, *UNSEEN)
+    names = tuple(name for effect in effects for name in numbers_of(effect))
+    share = np.linspace(0, 1, n)
+    slopes = 1e4 * rng.standard_normal((n, 2, 1 + len(names)))
+    slopes[:, :, 0] = [[100.0, 300.0]]
+    slopes[:, :, -len(UNSEEN) :] = 0.0
+    slopes[:, :, 1] = slopes[:, :, 0] * share[:, None]
+    measured = slopes[:, :, 0] * 0.03 * share[:, None] + rng.standard_normal((n, 2))
+    task = make_task(slopes, measured, names)
+    base = ensemble_refits.refit(task, start(task, 0.05), 10)
+    scores = run_score_tests(task, base, effects)
+    scales = SimpleNamespace(mass=10.0, ways=np.ones(n))
+    found = explore(task, base, effects, scales, scores, far=False)  # type: ignore
+    assert found[0].effect == "friction_drift"
+    assert found[0].p_value < 1e-6
