@@ -330,7 +330,7 @@ def main(words: Sequence[str] | None = None) -> int:
     print(text)
     if shard == (1, 1):
         figures.confusion(everything, IMAGE)
-        reliability.draw(figures.with_one(everything), RELIABILITY)
+        reliability.draw(targets.list_rated(everything), RELIABILITY)
         runs.write_into(asked.page, text, "diagnoses")
     return 0
 
