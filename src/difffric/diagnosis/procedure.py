@@ -361,12 +361,12 @@ class _CauseSearch(CauseRounds):
 
     def _does_matter(self, one: NamedCause, at: Fits) -> bool:
         """Whether an effect of the fit `at` changes as much as matters, and is unusual."""
-        task = self.start.data.task
-        changes = measure_changes(task, one.without, at, one.best.effect)
-        if one.best.effect in self.usual:  # mu_s differs by what others do in its place
-            small = max(self.share, USUAL_SHARE) * UNIT_CHANGE
-            least = max(_SURELY * small, self.matters)
-            return max(changes.peak_force, changes.sliding_distance) >= least
+        changes = measure_changes(self.start.data.task, one.without, at, one.best.effect)
+        usual = one.best.effect in self.usual
+        if usual or self.share > BACKGROUND:  # mu_s moves by what others do in its place
+            small = _SURELY * max(self.share, USUAL_SHARE) * UNIT_CHANGE if usual else 0.0
+            read = changes.of_most if usual else max(changes.peak_force, changes.sliding_distance)
+            return read >= max(small, self.matters)
         return changes.as_mu_s >= self.matters
 
     def _list_wanted(self) -> list[str]:
