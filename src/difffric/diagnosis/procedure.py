@@ -90,8 +90,8 @@ def diagnose(
     """Show what the rig's simulation gets wrong in measured pushes, name the cause, extend the
     rig by it and measure the gain on held-out pushes.
 
-    `matters`: the share of mu_s by which an effect must change mu_s, or F_p or d as much as such a
-    share of mu_s does, to be a cause; what is detected and changes less is listed as negligible.
+    `matters`: the share of mu_s by which a cause changes mu_s, or F_p or d as much as that does;
+    beside a background, of F_p or d themselves. What changes less is listed as negligible.
     `held_out`: "push", or "speed" to hold out all pushes of one speed at a time. Effects that the
     rig has already stay, and are refitted.
 

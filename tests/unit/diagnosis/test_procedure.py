@@ -4,6 +4,8 @@ rough set-ups. What is named, its size, and what it gains on pushes that nobody 
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ import difffric as df
 from difffric.diagnosis import procedure
 from difffric.diagnosis.alternatives import find_alternatives
 from difffric.diagnosis.exploration import CandidateCause
+from difffric.diagnosis.inferred.changes import Changes
 from difffric.diagnosis.misfit import PHASES
 from difffric.rig.setup import Setup
 from difffric.rig.setup_toml import read_setup
@@ -84,6 +87,18 @@ def test_strong_bristles_are_told_without_a_search_for_other_causes(tmp_path, mo
     assert [cause.id for cause in one.found.causes] == ["presliding"]
     value, error = one.found.causes[0].parameters["sigma_0_N_per_m"]
     assert abs(value - one.case.effects["presliding"]["sigma_0_N_per_m"]) < 4 * error
+
+
+def test_beside_a_background_what_is_read_says_whether_a_cause_matters(monkeypatch):
+    moved = Changes(0.05, peak_force=0.001, sliding_distance=0.002, as_mu_s=0.05, of_most=0.002)
+    monkeypatch.setattr(procedure, "measure_changes", lambda *_: moved)
+    search = object.__new__(procedure._CauseSearch)
+    search.start, search.matters = SimpleNamespace(data=SimpleNamespace(task=None)), 0.005  # type: ignore
+    search.usual, search.share = frozenset(), 0.0
+    one = SimpleNamespace(best=SimpleNamespace(effect="pusher_lag"), without=None)
+    assert search._does_matter(one, None)  # type: ignore
+    search.share = 0.2
+    assert not search._does_matter(one, None)  # type: ignore
 
 
 def test_nothing_is_named_where_nothing_is_hidden(tmp_path):

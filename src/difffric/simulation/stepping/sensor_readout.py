@@ -159,7 +159,7 @@ def filter_strides(
     """
     none = jnp.zeros_like(h)
     driven = Filtered.of(filters, N, (none, none), h)
-    left = Filtered.of(filters, 0.0 * N, (none + 1.0, none + 1.0), h)
+    left = Filtered.of(filters, jnp.zeros_like(N), (none + 1.0, none + 1.0), h)
 
     def pass_on(own: OnePole, decay: OnePole, f: Array) -> tuple[Array, OnePole]:
         kept = jnp.where(there, decay.value(end), 1.0)

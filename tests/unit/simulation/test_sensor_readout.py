@@ -1,0 +1,37 @@
+"""What filters let through of a push, stride by stride."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.polynomial import polynomial
+from scipy.integrate import solve_ivp
+
+from difffric.simulation.stepping.sensor_readout import Filters, filter_strides
+
+
+@pytest.mark.parametrize("tau, slowness", [(2e-4, 0.5), (5e-3, 40.0), (0.0, 300.0)])
+def test_filters_of_some_strides_solve_their_equations_one_after_the_other(tau, slowness):
+    """tau f' = N - f for either pole, N a polynomial of each stride's share; a stride that is not
+    there changes nothing."""
+    rng = np.random.default_rng(4)
+    h, there = np.array([1e-3, 2e-3, 1.0, 4e-4]), np.array([True, True, False, True])
+    N = 10 * rng.standard_normal((8, 4))
+    state = (jnp.asarray(3.0), jnp.asarray(-1.0))
+    filters = Filters(jnp.asarray(tau), jnp.asarray(slowness))
+    after, passed = filter_strides(filters, N, jnp.asarray(h), jnp.ones(4), there, state)
+    share = 1 / (1 - tau * slowness)
+    ends = [float(x) for x in state]
+    for k in np.flatnonzero(there):
+        for j, pole in enumerate((tau, 1 / slowness)):
+            if pole == 0:
+                ends[j] = float(polynomial.polyval(1.0, N[:, k]))
+                continue
+
+            def slope(t, f, k=k, pole=pole):
+                return (polynomial.polyval(t / h[k], N[:, k]) - f) / pole
+
+            found = solve_ivp(slope, (0, h[k]), [ends[j]], "DOP853", rtol=1e-11, atol=1e-11)
+            ends[j] = float(found.y[0, -1])
+        row = type(passed)(*(x[k] for x in passed))
+        assert float(row.value(1.0)) == pytest.approx(share * (ends[0] - ends[1]), rel=1e-7)
+    np.testing.assert_allclose(after, ends, rtol=1e-7)
