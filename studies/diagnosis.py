@@ -155,18 +155,18 @@ def run_case(group: str, i: int, keep: Path | None = None) -> dict:
     from difffric.rig.setup_toml import read_setup
 
     line: dict = {"group": group, "case": i}
-    try:
-        with limit_time(LONGEST_MAKING):
-            case = GROUPS[group].make(i, 100_000 * GROUPS[group].seed + i)
-    except (ValueError, TimeoutError) as error:
-        return {**line, "skipped": str(error)}
-    line |= {"kind": case.kind, "effects": dict(case.effects), "outsider": dict(case.outsider)}
-    line["another_form"] = case.s_curve or _exponent(case) != 2.0
-    line["components"] = list(case.components)
-    line["s"] = strength(case) if case.hidden else 0.0
     with tempfile.TemporaryDirectory() as empty:
         folder = keep or Path(empty)
-        path = write(case, folder)
+        try:
+            with limit_time(LONGEST_MAKING):
+                case = GROUPS[group].make(i, 100_000 * GROUPS[group].seed + i)
+                s = strength(case) if case.hidden else 0.0
+                path = write(case, folder)
+        except (ValueError, TimeoutError) as error:
+            return {**line, "skipped": str(error)}
+        line |= {"kind": case.kind, "effects": dict(case.effects), "outsider": dict(case.outsider)}
+        line["another_form"] = case.s_curve or _exponent(case) != 2.0
+        line |= {"components": list(case.components), "s": s}
         setup, data = read_setup(folder / "setup.toml"), df.load(path)
         began = time.perf_counter()
         try:

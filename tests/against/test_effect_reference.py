@@ -93,6 +93,15 @@ def test_effects_that_are_another_plain_push():
         same(push(effect, **RIG), exact.push(**(RIG | changed), arithmetic=exact.FLOAT))
 
 
+@pytest.mark.parametrize("alpha", [0.0, 0.01])
+def test_a_gap_only_delays_a_part_on_bristles(alpha):
+    bristles = {"presliding.sigma_0_N_per_m": 1e7, "presliding.sigma_1_N_s_per_m": 3e3}
+    bristles |= {"tilt.alpha_rad": alpha}
+    away = push(bristles | {"initial_gap.gap_m": 2e-4}, **RIG)
+    same(away, push(bristles, **(RIG | {"stroke": 1e-3})))
+    assert away.sliding_distance is not None
+
+
 def test_with_an_infinite_stroke_the_duration_alone_stops_the_tip():
     slow = RIG | {"v": 0.012, "b": 200.0}
     timed = push({"pusher_duration.duration_s": 0.2}, **(slow | {"stroke": None}))

@@ -74,7 +74,7 @@ def guard(which, t, s, p, mode):
         return s[X] - p[PATCH_START] if mode[BEYOND] == 1 else p[PATCH_START] - s[X]
     if which == SLIPPED and mode[CONTACT] == 1 and mode[SLIDING] == 0:
         return breakaway(s, p, mode) - contact_force(t, s, p, mode)
-    if which == REVERSED and bristles:
+    if which == REVERSED and bristles and mode[SLIDING] == 1:
         return mode[SIGN] * s[U]
     return 1.0
 
@@ -193,14 +193,14 @@ def slip(mode):
 
 @law
 def touch(t, s, p, mode, tally):
-    """Contact is made: the part sticks, or slides."""
+    """Contact is made: the part sticks, or slides, as one on bristles always does."""
     mode[CONTACT] = 1
     tally[CONTACTS] += 1
     w = tip_speed(t, s, p, mode) - s[U]
     mode[APPROACH] = 1 if w >= 0 else 0
     if w >= 0:
         s[Z] = 0.0
-    if mode[SLIDING] == 0 and p[B] * w > breakaway(s, p, mode):
+    if mode[SLIDING] == 0 and (p[SIGMA_0] > 0 or p[B] * w > breakaway(s, p, mode)):
         slip(mode)
 
 

@@ -250,5 +250,4 @@ def initial(p):
     mode[COMMAND] = RAMP if p[ACCELERATION] < INF else HOLD
     if p[SIGMA_0] > 0:
         s[Q] = -p[ALONG] / p[SIGMA_0]
-        mode[SLIDING] = mode[MOVED] = 1
     return s, mode
