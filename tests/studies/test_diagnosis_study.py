@@ -1,12 +1,14 @@
 """The study of diagnoses is done in parts: what is kept with the source is not done again."""
 
 import json
+import time
 from functools import partial
 
 import pytest
 
 from studies import diagnosis as study
 from studies import runs
+from tests.hidden import random_case
 
 CAUSE = {
     "id": "stribeck",
@@ -87,3 +89,12 @@ def test_every_process_of_a_study_keeps_to_a_core_of_its_own():
     assert [runs.pick_core((i, 3), [4, 2, 7]) for i in (1, 2, 3)] == [{2}, {4}, {7}]
     assert runs.pick_core((3, 3), [0, 1]) == {0}, "more processes than cores take turns"
     assert runs.pick_core((1, 1), [0, 1]) == {0, 1}, "alone it has all"
+
+
+def test_a_case_whose_files_take_too_long_is_given_up(monkeypatch):
+    case = random_case(1)
+    monkeypatch.setitem(study.GROUPS, "clean", study.Group(1, 1, lambda i, seed: case))
+    monkeypatch.setattr(study, "LONGEST_MAKING", 0.2)
+    monkeypatch.setattr(study, "write", lambda case, folder: time.sleep(5))
+    line = study.run_case("clean", 0)
+    assert line == {"group": "clean", "case": 0, "skipped": "takes longer than 0.2 s"}
