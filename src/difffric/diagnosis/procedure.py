@@ -6,13 +6,18 @@ stands out of them (`background`). What of it changes too little to matter is to
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from difffric.compute.precision import require_float64
+from difffric.diagnosis.background.bristles import (
+    LIKE_BRISTLES,
+    looks_like_bristles,
+    search_beside_bristles,
+)
 from difffric.diagnosis.background.cause_sets import compute_price
 from difffric.diagnosis.background.evidence import PossibleCause
 from difffric.diagnosis.background.free_curves import compare_with_curves
@@ -35,7 +40,6 @@ from difffric.diagnosis.background.search import (
 )
 from difffric.diagnosis.background.small_effects import UNIT_CHANGE
 from difffric.diagnosis.combinations.cause_rounds import CauseRounds
-from difffric.diagnosis.combinations.explanation import explain_table
 from difffric.diagnosis.conclusion import Findings, NamedCause, conclude
 from difffric.diagnosis.cross_validation import CrossValidation, assign_folds
 from difffric.diagnosis.exploration import CandidateCause, explore_bristles
@@ -67,14 +71,12 @@ _SURELY = 3.0
 change F_p or d to be a cause: where pushes are on an edge a little does so."""
 _FEWEST = 3
 """Pushes from which on one can be held out."""
-_ROUNDS = 40
-"""Steps at most of a refit with a combination of causes."""
-_LIKE_BRISTLES = ("friction_patch", "friction_ratio", "friction_waviness")
-"""Effects that stiff bristles are taken for."""
 _LIKE_FRICTION = "normal_force"
 """The effect that is one with mu_s where every push has the same mass."""
+_FAR_ABOVE = 20.0
+"""How many times its price a cause is worth where the fit without it need not go to its end."""
 _ROUNDS_WITHOUT = 6
-"""The same of a refit that leaves a cause out again, which begins near its end."""
+"""Steps at most of a refit that leaves a cause out again, which begins near its end."""
 
 
 def diagnose(
@@ -177,7 +179,7 @@ class _CauseSearch(CauseRounds):
         """Look for causes, round by round, and return all that was found."""
         task = self.start.data.task
         if task.model.in_columns:
-            self._add_combination()
+            self.add_combination()
         elif task.n < _FEWEST:
             self.notes = (f"{task.n} pushes: too few to hold any out: no cause is looked for",)
         elif task.model.recordings:
@@ -216,40 +218,6 @@ class _CauseSearch(CauseRounds):
             friction=self.friction,
         )
 
-    def _add_combination(self) -> None:
-        """Add the combination that explains a table best of whose distances no k, b and k_v can
-        give some: one cause alone hardly mends that."""
-        data, task = self.start.data, self.start.data.task
-
-        def tell(what: str, share: float) -> None:
-            self.tell(what, 0.25 + 0.1 * share)
-
-        found = explain_table(self.setup, data.measured, self.validation.folds, tell)
-        missing = [part for part in found.best.parts if part in self._list_wanted()]
-        index = task.model.coordinates.indices([n for e in missing for n in numbers_of(e)])
-        at = replace(
-            self.base,
-            c=np.where(np.arange(found.best.points.c.shape[1]) > 0, found.best.points.c, 0.0),
-            extra=((*self.base.extra[0], *index),),
-            gram=None,
-            residual=None,
-            damping=None,
-        )
-        new = ensemble_refits.refit(task, at, _ROUNDS)
-        if not missing or not self.validation.is_better(new, self.base):
-            return
-        self.total = max(self.lack.excess, 1.0)
-        self.base = new
-        self.notes = found.describe_rivals()
-        for effect in missing:
-            without = self._leave_out(new, effect)
-            drop = float(ensemble.criterion(task, without)[0] - ensemble.criterion(task, new)[0])
-            p_value = compute_p_value(effect, drop, len(data.looked_for))
-            price = len(numbers_of(effect)) * task.price
-            one = CandidateCause(effect, new, drop, 0.0, p_value, drop - price)
-            self.named.append(NamedCause(one, (one,), without))
-        self.named, self.base = self._drop_needless(self.named, self.base, len(self.named))
-
     def _add_standing(self) -> None:
         """Add the causes that stand out of a background of small effects."""
         data, task = self.start.data, self.start.data.task
@@ -260,35 +228,32 @@ class _CauseSearch(CauseRounds):
         if large and self._add_bristles([self.plain], alone=True):  # else nothing arrives
             return
         found = search_background(data, self.plain, self.start.guess, small, self.matters > 0)
-        found = choose_by_fits(task, self.plain, found)
-        items, p_values = keep_significant(found.evidence, found.best, SIGNIFICANT)
-        if self.matters > 0:
-            outstanding = list_outstanding(found.evidence, items)
-            self.usual = frozenset(item.effect for item in items) - outstanding
         self.scores = run_score_tests(task, self.plain, small)
         self.visible |= {effect: score.visible for effect, score in self.scores.items()}
-        self.share = share = found.evidence.estimate_share(items)
-        base = fit_causes(task, self.plain, found, items)
-        if items and share <= BACKGROUND and self._leads_astray(base):
-            items, p_values, base = (), [], self.plain
-            none = tuple(one for one in found.sets if not one.items)
-            found = replace(found, sets=none, fitted=None)
-        if items or share > BACKGROUND:
+        found, p_values, base = self._choose_causes(found)
+        if p_values or self.share > BACKGROUND:
             self.tell("comparing with free curves", 0.6)
-            compared = compare_with_curves(data, found, items, self.plain, base)
+            compared = compare_with_curves(data, found, tuple(p_values), self.plain, base)
             # What a curve changes by less than matters is left, and is told as what is left.
             self.explained = not compared.is_outside or compared.change < self.matters
             self.curves = (compared.best,)
-        poor = found.evidence.excess > MOST_EXCESS or self.explained is False or len(items) > 1
-        poor |= not items and share <= BACKGROUND and not self.validation.is_at_floor(base)
-        poor |= any(item.effect in _LIKE_BRISTLES for item in items)
-        if PRESLIDING in wanted and poor and self._add_bristles([base, found.joint]):
-            return
+        without, bristles = found.joint, None
+        if PRESLIDING in wanted and self._is_poor(found, p_values, base):
+            if self._add_bristles([base, found.joint]):
+                return
+            outside = self.explained is False and self.share > BACKGROUND
+            if self.matters > 0 and (outside or looks_like_bristles(found)):
+                bristles = search_beside_bristles(found, self.plain)
+        if bristles is not None:
+            found, p_values, base = self._choose_causes(bristles)
+            self.explained = True
+        items, share = tuple(p_values), self.share
         self.base = self.whole = base
         if items and self.tell is not silent:
             tell_answer("what stands out, before it is judged", [x.effect for x in items])
         if self.base is not self.plain:
-            bare = self._leave_out(self.base, *(item.effect for item in items))
+            there = [item.effect for item in items] + [PRESLIDING] * (bristles is not None)
+            bare = self._leave_out(self.base, *there)
             value = ensemble.criterion(task, ensemble.join(self.plain, bare))
             if value[1] < value[0]:
                 self.plain, self.lack = bare, measure_lack_of_fit(task, bare)
@@ -301,8 +266,37 @@ class _CauseSearch(CauseRounds):
             self.validation = CrossValidation(assumed, self.validation.folds)
         elif not items and found.evidence.excess < ARRIVED:
             self.friction = average_over_sets(found.evidence, base, found.sets)
-        self._add_causes(found, dict(zip(items, p_values, strict=True)))
+        self._add_causes(found, p_values)
+        if bristles is not None:
+            self._name_bristles(without)
         self.total = max(self.lack.excess, *(one.best.drop for one in self.named), 1.0)
+
+    def _choose_causes(
+        self, found: BackgroundSearch
+    ) -> tuple[BackgroundSearch, dict[PossibleCause, float], Fits]:
+        """Choose the causes that stand out where a search ended: return the search with their set
+        as its best, their p-values, and the fit with them and no background."""
+        task = self.start.data.task
+        found = choose_by_fits(task, found.plain, found)
+        items, p_values = keep_significant(found.evidence, found.best, SIGNIFICANT)
+        if self.matters > 0:
+            outstanding = list_outstanding(found.evidence, items)
+            self.usual = frozenset(item.effect for item in items) - outstanding
+        self.share = found.evidence.estimate_share(items)
+        base = fit_causes(task, found.plain, found, items)
+        if items and self.share <= BACKGROUND and self._leads_astray(base):
+            none = tuple(one for one in found.sets if not one.items)
+            return replace(found, sets=none, fitted=None), {}, found.plain
+        return found, dict(zip(items, p_values, strict=True)), base
+
+    def _is_poor(
+        self, found: BackgroundSearch, items: Collection[PossibleCause], base: Fits
+    ) -> bool:
+        """Whether the causes that were chosen leave room for bristles, or may stand for them."""
+        poor = found.evidence.excess > MOST_EXCESS or self.explained is False or len(items) > 1
+        poor |= any(item.effect in LIKE_BRISTLES for item in items)
+        nothing = not items and self.share <= BACKGROUND
+        return poor or (nothing and not self.validation.is_at_floor(base))
 
     def _add_causes(self, found: BackgroundSearch, p_values: Mapping[PossibleCause, float]) -> None:
         """Add causes with their p-values, but for those without which the fit is as good: they were
@@ -310,9 +304,10 @@ class _CauseSearch(CauseRounds):
         task, items, named = self.start.data.task, tuple(p_values), []
         for item, p_value in p_values.items():
             whole = self.whole or self.base
-            without = self._leave_out(whole, item.effect)
+            price = 2 * compute_price(found.evidence, [item])
+            without = self._leave_out(whole, item.effect, enough=_FAR_ABOVE * price)
             value = ensemble.criterion(task, ensemble.join(without, whole))
-            drop, price = float(value[0] - value[1]), 2 * compute_price(found.evidence, [item])
+            drop = float(value[0] - value[1])
             if drop < price:
                 self.base, self.whole = self._leave_out(self.base, item.effect), without
                 left = {one: p for one, p in p_values.items() if one is not item}
@@ -347,6 +342,17 @@ class _CauseSearch(CauseRounds):
         self.total, self.explained = max(self.lack.excess, one.drop), True
         return True
 
+    def _name_bristles(self, without: Fits) -> None:
+        """Name the bristles that are in the model; `without` is the joint fit that has none."""
+        task, whole = self.start.data.task, self.whole or self.base
+        value = ensemble.criterion(task, ensemble.join(without, whole))
+        drop = float(value[0] - value[1])
+        p_value = compute_p_value(PRESLIDING, drop, len(self.start.data.looked_for))
+        price = len(numbers_of(PRESLIDING)) * task.price
+        one = CandidateCause(PRESLIDING, whole, drop, 0.0, p_value, drop - price)
+        self.named.append(NamedCause(one, (one,), without))
+        self.considered = [one]
+
     def _leads_astray(self, fits: Fits) -> bool:
         """Whether the plain model foresees held-out pushes better than `fits`, by more than these
         explain where they are fitted."""
@@ -369,32 +375,12 @@ class _CauseSearch(CauseRounds):
             return read >= max(small, self.matters)
         return changes.as_mu_s >= self.matters
 
-    def _list_wanted(self) -> list[str]:
-        """List the effects that are not in the model."""
-        there = {name.partition(".")[0] for name in self.start.known}
-        there |= {one.best.effect for one in self.named}
-        return [effect for effect in self.start.data.looked_for if effect not in there]
-
-    def _drop_needless(
-        self, named: list[NamedCause], base: Fits, first: int
-    ) -> tuple[list[NamedCause], Fits]:
-        """Drop those of the `first` causes that the model `base` does not need, one after the
-        other, and say of the others what it would be without them."""
-        for k in range(first):
-            effect = named[k].best.effect
-            less = self._leave_out(base, effect)
-            task = self.start.data.task
-            drop = float(ensemble.criterion(task, less)[0] - ensemble.criterion(task, base)[0])
-            if compute_p_value(effect, drop, len(self.start.data.looked_for)) > SIGNIFICANT:
-                return self._drop_needless(named[:k] + named[k + 1 :], less, first - 1)
-            named = [*named[:k], replace(named[k], without=less), *named[k + 1 :]]
-        return named, base
-
-    def _leave_out(self, base: Fits, *effects: str) -> Fits:
+    def _leave_out(self, base: Fits, *effects: str, enough: float = np.inf) -> Fits:
         """Return the fit `base` (an ensemble of one) without some of its effects, all that is free
-        fitted anew."""
+        fitted anew, to its end where it is worse by less than `enough` in chi-square."""
         if not effects:
             return base
         task = self.start.data.task
         gone = [task.model.coordinates.indices(numbers_of(effect)) for effect in effects]
-        return ensemble_refits.refit_without(task, base, self.plain, gone, _ROUNDS_WITHOUT)
+        rounds = _ROUNDS_WITHOUT
+        return ensemble_refits.refit_without(task, base, self.plain, gone, rounds, enough)

@@ -14,14 +14,14 @@ from hypothesis import strategies as st
 
 from difffric.diagnosis.background import cause_sets, evidence, naming, small_effects
 from difffric.diagnosis.background import search as background_search
-from difffric.diagnosis.background.evidence import Evidence
-from difffric.diagnosis.background.friction_estimate import average_over_sets, estimate_friction
-from difffric.diagnosis.background.shape_columns import (
+from difffric.diagnosis.background.columns.shape_columns import (
     Shape,
     ShapeColumns,
     join_columns,
     list_nearby,
 )
+from difffric.diagnosis.background.evidence import Evidence
+from difffric.diagnosis.background.friction_estimate import average_over_sets, estimate_friction
 from difffric.diagnosis.background.shape_pursuit import pursue_shapes
 from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.diagnosis.inferred.friction import compute_friction_errors, find_friction
@@ -332,7 +332,10 @@ def make_search(seed: int) -> background_search.BackgroundSearch:
     found = Evidence(task, at, small, None, background=False)
     sets = tuple(cause_sets.search_sets(found, found.items))
     data: Any = SimpleNamespace(task=task)
-    return background_search.BackgroundSearch(data, at, small, found, sets, (), found, ())
+    plain = start(task, 0.3)
+    return background_search.BackgroundSearch(
+        data, small.effects, plain, at, small, found, sets, (), found, ()
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))

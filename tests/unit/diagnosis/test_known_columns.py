@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from difffric.diagnosis.background.known_columns import collect_rows
+from difffric.diagnosis.background.columns.known_columns import collect_rows
 from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.estimation.ensembles import ensemble, ensemble_refits
 from tests.unit.diagnosis.linear_rig import LinearModel, make_task, start

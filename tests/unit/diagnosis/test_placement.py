@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from difffric.diagnosis.background import placement
+from difffric.diagnosis.background.columns.shape_columns import Shape, ShapeColumns
 from difffric.diagnosis.background.evidence import Evidence
 from difffric.diagnosis.background.joint_fit import WIDE
-from difffric.diagnosis.background.shape_columns import Shape, ShapeColumns
 from difffric.diagnosis.background.shape_pursuit import pursue_shapes
 from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.estimation.ensembles import ensemble, ensemble_refits

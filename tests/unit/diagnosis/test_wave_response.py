@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from difffric.diagnosis.background import wave_response
+from difffric.diagnosis.background.columns.shape_columns import divide_turns, number_wave
 from difffric.diagnosis.background.evidence import Evidence
-from difffric.diagnosis.background.shape_columns import divide_turns, number_wave
 from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.estimation.ensembles import ensemble
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits

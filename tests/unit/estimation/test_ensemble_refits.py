@@ -167,3 +167,23 @@ def test_without_an_effect_a_fit_is_as_if_that_had_never_been_free(seed):
     np.testing.assert_allclose(
         *(ensemble.criterion(task, one) for one in (found, never)), rtol=0, atol=0.05
     )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_fit_that_is_far_worse_without_an_effect_is_not_followed_to_its_end(seed):
+    rng = np.random.default_rng(seed)
+    slopes = 100 * rng.normal(size=(8, 2, 4))
+    measured = 3 * slopes[:, :, 2] + rng.normal(size=(8, 2))
+    task = make_task(slopes, measured, ("x", "y", "z"), shared=(1,))
+    task.model.directions = 1  # as of many parameters: one call does not differentiate by all
+    plain = ensemble_refits.refit(task, start(task, 0.01), 10)
+    bare = {"gram": None, "residual": None, "damping": None}
+    whole = ensemble_refits.refit(task, replace(plain, extra=((2, 3),), **bare), 20)
+    least = float(ensemble.profile_cost(task, whole)[0])
+    soon, late = (
+        ensemble_refits.refit_without(task, whole, plain, [[2]], 20, enough)
+        for enough in (100.0, np.inf)
+    )
+    assert soon.extra == late.extra == ((3,),) and soon.c[0, 2] == plain.c[0, 2]
+    cost = [float(ensemble.profile_cost(task, one)[0]) for one in (soon, late)]
+    assert least + 100.0 < cost[1] <= cost[0]

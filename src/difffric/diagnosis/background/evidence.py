@@ -21,8 +21,8 @@ import scipy
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from difffric.diagnosis.background.known_columns import collect_rows
-from difffric.diagnosis.background.shape_columns import Shape, ShapeColumns, join_columns
+from difffric.diagnosis.background.columns.known_columns import collect_rows
+from difffric.diagnosis.background.columns.shape_columns import Shape, ShapeColumns, join_columns
 from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 

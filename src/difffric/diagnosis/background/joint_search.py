@@ -13,6 +13,11 @@ import numpy as np
 import scipy
 
 from difffric.diagnosis.background.cause_sets import CauseSet, compute_price, makes_sense
+from difffric.diagnosis.background.columns.shape_columns import (
+    compute_columns,
+    list_nearby,
+    list_placed,
+)
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
 from difffric.diagnosis.background.joint_fit import (
     ROUGHLY,
@@ -28,11 +33,6 @@ from difffric.diagnosis.background.placement import (
     place_shapes,
     predict_start,
     put_small,
-)
-from difffric.diagnosis.background.shape_columns import (
-    compute_columns,
-    list_nearby,
-    list_placed,
 )
 from difffric.diagnosis.background.shape_grid import ShapeGrid, leave_out
 from difffric.diagnosis.background.shape_pursuit import choose_best_shapes, pursue_shapes
@@ -55,7 +55,10 @@ _SIZES = 5
 _MOST_SHAPED = 20
 """How often effects with a shape are added, or moved, or pushes are looked at anew, at most."""
 ARRIVED = 1.1
-"""Squares per number from which on a fit that leaves more may have shapes at wrong places."""
+"""Squares per number from which on a fit that leaves more has not arrived."""
+_MISPLACED = 1.03
+"""The same from which on shapes may be at wrong places: two waves at lengths that are not theirs
+left 1.07 to 1.09 in place of 1.00 to 1.02."""
 _HARDLY = 1.02
 """The same from which on something may be left."""
 _HIDDEN, _LARGEST_SIZES = ("static_dwell",), 5
@@ -109,9 +112,10 @@ class JointSearch:
             if evidence.excess > MOST_EXCESS:
                 ways = [self.add_shape, self.place_shapes]
             left = measure_left(self.data.task, self.joint)
-            if left > ARRIVED:
-                ways = [self.rescan_own, self.place_cuts, self.drop_shape, *ways]
-                ways += [self.move_shape, self.place_shapes_anew, self.begin_with_one]
+            far = left > ARRIVED
+            ways = [self.rescan_own, self.place_cuts, *ways] if far else ways
+            ways += [self.place_shapes_anew, self.move_shape] if left > _MISPLACED else []
+            ways += [self.drop_shape, self.begin_with_one] if far else []
             if left > _HARDLY or len(self.shaped) > 1:
                 ways += [self.enlarge_hidden]
             ways += [self.replace_shape, self.add_misjudged]

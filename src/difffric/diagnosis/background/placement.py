@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from difffric.diagnosis.background.columns.known_columns import list_known
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
 from difffric.diagnosis.background.joint_fit import WIDE
-from difffric.diagnosis.background.known_columns import list_known
 from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.diagnosis.data import choose_subset
 from difffric.estimation.ensembles import ensemble

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from difffric.diagnosis.background.cause_sets import CauseSet, find_set, search_sets
+from difffric.diagnosis.background.columns.shape_columns import limit_waves
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
 from difffric.diagnosis.background.joint_fit import fit_jointly, free_causes
 from difffric.diagnosis.background.joint_search import JointSearch
-from difffric.diagnosis.background.shape_columns import limit_waves
 from difffric.diagnosis.background.shape_grid import is_near
 from difffric.diagnosis.background.small_effects import (
     SmallEffects,
@@ -37,6 +37,10 @@ class BackgroundSearch:
     """Where the search ended."""
 
     data: DiagnosisData
+    effects: Sequence[str]
+    """that were looked for"""
+    plain: Fits
+    """the fit without any of them (an ensemble of one)"""
     joint: Fits
     """the fit with all small effects, and the shapes that stand out (an ensemble of one)"""
     small: SmallEffects
@@ -68,7 +72,12 @@ def search_background(
     small = choose_small_effects(data.task, plain, effects)
     small = replace(small, reach=limit_waves(data.task, data.scales))
     joint, cutting = fit_jointly(data, small, plain, guess, effects)
-    search = JointSearch(data, effects, background, small, plain, joint, cutting)
+    return search_from(JointSearch(data, effects, background, small, plain, joint, cutting))
+
+
+def search_from(search: JointSearch) -> BackgroundSearch:
+    """Search for causes from where a joint search stands."""
+    data, small, plain = search.data, search.small, search.plain
     evidence = search.arrive()
     drawn = search.draw_near()
     # The plain fit may be far from here, and what is small there need not be so here.
@@ -104,6 +113,8 @@ def _end(
     singles = tuple(one for one in sets if len(one.items) == 1) if first is None else first.singles
     return BackgroundSearch(
         search.data,
+        search.effects,
+        search.plain,
         search.joint,
         search.small,
         evidence,

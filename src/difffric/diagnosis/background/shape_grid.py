@@ -6,8 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from difffric.diagnosis.background.evidence import Evidence
-from difffric.diagnosis.background.shape_columns import (
+from difffric.diagnosis.background.columns.shape_columns import (
     MOVABLE,
     WAVES,
     ShapeColumns,
@@ -19,6 +18,7 @@ from difffric.diagnosis.background.shape_columns import (
     list_placed,
     list_shapes,
 )
+from difffric.diagnosis.background.evidence import Evidence
 from difffric.diagnosis.background.shape_pursuit import choose_best_shapes
 from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.diagnosis.background.wave_response import (

@@ -15,14 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.diagnosis.background.evidence import Evidence
-from difffric.diagnosis.background.shape_columns import (
+from difffric.diagnosis.background.columns.shape_columns import (
     AMPLITUDE,
     ShapeColumns,
     list_waves,
     make_columns,
     number_wave,
 )
+from difffric.diagnosis.background.evidence import Evidence
 from difffric.diagnosis.background.small_effects import ask_pushes, measure_change
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 

@@ -10,15 +10,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from difffric.diagnosis.alternatives import find_alternatives
+from difffric.diagnosis.combinations.explanation import explain_table
 from difffric.diagnosis.conclusion import NamedCause
 from difffric.diagnosis.exploration import CandidateCause, explore, is_promising
 from difffric.diagnosis.lack_of_fit import is_misfit_large, measure_lack_of_fit
 from difffric.diagnosis.score_test import SIGNIFICANT, Score, compute_p_value, run_score_tests
 from difffric.diagnosis.start import find_better_base, find_better_optimum
 from difffric.diagnosis.starting_values import SMOOTH_AT_NULL
-from difffric.estimation.ensembles import ensemble_refits
+from difffric.estimation.ensembles import ensemble, ensemble_refits
+from difffric.estimation.ensembles.ensemble import Fits
 from difffric.estimation.extended_model import PRESLIDING
+from difffric.rig.catalogue import numbers_of
 
 MOST = 3
 """Causes that are looked for at most."""
@@ -38,6 +43,7 @@ be the best fit's."""
 class CauseRounds:
     """The rounds of a search, which holds its state."""
 
+    setup: Any
     start: Any
     plain: Any
     base: Any
@@ -49,11 +55,45 @@ class CauseRounds:
     scores: Any
     visible: Any
     total: Any
+    notes: Any
     validation: Any
     tell: Any
-    _list_wanted: Any
     _does_matter: Any
-    _drop_needless: Any
+    _leave_out: Any
+
+    def add_combination(self) -> None:
+        """Add the combination that explains a table best of whose distances no k, b and k_v can
+        give some: one cause alone hardly mends that."""
+        data, task = self.start.data, self.start.data.task
+
+        def tell(what: str, share: float) -> None:
+            self.tell(what, 0.25 + 0.1 * share)
+
+        found = explain_table(self.setup, data.measured, self.validation.folds, tell)
+        missing = [part for part in found.best.parts if part in self._list_wanted()]
+        index = task.model.coordinates.indices([n for e in missing for n in numbers_of(e)])
+        at = replace(
+            self.base,
+            c=np.where(np.arange(found.best.points.c.shape[1]) > 0, found.best.points.c, 0.0),
+            extra=((*self.base.extra[0], *index),),
+            gram=None,
+            residual=None,
+            damping=None,
+        )
+        new = ensemble_refits.refit(task, at, _ROUNDS)
+        if not missing or not self.validation.is_better(new, self.base):
+            return
+        self.total = max(self.lack.excess, 1.0)
+        self.base = new
+        self.notes = found.describe_rivals()
+        for effect in missing:
+            without = self._leave_out(new, effect)
+            drop = float(ensemble.criterion(task, without)[0] - ensemble.criterion(task, new)[0])
+            p_value = compute_p_value(effect, drop, len(data.looked_for))
+            price = len(numbers_of(effect)) * task.price
+            one = CandidateCause(effect, new, drop, 0.0, p_value, drop - price)
+            self.named.append(NamedCause(one, (one,), without))
+        self.named, self.base = self._drop_needless(self.named, self.base, len(self.named))
 
     def add_one_by_one(self) -> None:
         """Add one cause after the other, and say what else could be in their places."""
@@ -66,6 +106,12 @@ class CauseRounds:
     def _list_causes(self) -> list[Any]:
         """List what was added and matters."""
         return [one for one in self.named if self._does_matter(one, self.whole or self.base)]
+
+    def _list_wanted(self) -> list[str]:
+        """List the effects that are not in the model."""
+        there = {name.partition(".")[0] for name in self.start.known}
+        there |= {one.best.effect for one in self.named}
+        return [effect for effect in self.start.data.looked_for if effect not in there]
 
     def _arrive(self, k: int) -> None:
         """Look for a better optimum of the model with what was added by now, while it is not at its
@@ -169,6 +215,21 @@ class CauseRounds:
             return False
         self.named, self.base = named, new
         return True
+
+    def _drop_needless(
+        self, named: list[NamedCause], base: Fits, first: int
+    ) -> tuple[list[NamedCause], Fits]:
+        """Drop those of the `first` causes that the model `base` does not need, one after the
+        other, and say of the others what it would be without them."""
+        for k in range(first):
+            effect = named[k].best.effect
+            less = self._leave_out(base, effect)
+            task = self.start.data.task
+            drop = float(ensemble.criterion(task, less)[0] - ensemble.criterion(task, base)[0])
+            if compute_p_value(effect, drop, len(self.start.data.looked_for)) > SIGNIFICANT:
+                return self._drop_needless(named[:k] + named[k + 1 :], less, first - 1)
+            named = [*named[:k], replace(named[k], without=less), *named[k + 1 :]]
+        return named, base
 
     def _add_alternatives(self) -> None:
         """Add to what the search compared each cause with what else could stand in its place."""

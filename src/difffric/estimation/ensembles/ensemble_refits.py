@@ -297,11 +297,17 @@ def refit_past_jumps(task: EnsembleTask, fits: Fits, rounds: int, tol: float = _
 
 
 def refit_without(
-    task: EnsembleTask, fits: Fits, before: Fits, gone: Sequence[Sequence[int]], rounds: int
+    task: EnsembleTask,
+    fits: Fits,
+    before: Fits,
+    gone: Sequence[Sequence[int]],
+    rounds: int,
+    enough: float = np.inf,
 ) -> Fits:
     """Return the fit (an ensemble of one) with what is `gone` as it is in the fit `before`, which
     has none of it, and all else that is free fitted anew; `gone` has the coordinates of each
-    effect, that of its size first."""
+    effect, that of its size first. A fit that is worse by more than `enough` in chi-square is not
+    followed to its end."""
     every, sizes = [i for effect in gone for i in effect], [effect[0] for effect in gone]
     extra = tuple(i for i in fits.extra[0] if i not in every)
 
@@ -318,6 +324,14 @@ def refit_without(
             limit[0, k] = before.c[0, i] if i in sizes else fits.c[0, i]
     moved, _ = _predict_step(task, fits, 1e-3, limits)
     starts = en.join(start(fits, fits), start(fits, before), start(moved, moved))
+    if np.isfinite(enough) and _has_many(task, starts):
+        values = settle_narrowly(task, starts)
+        cost = en.profile_cost(replace(task, shared=()), _keep_own(values, True))
+        if cost.min() - en.profile_cost(task, fits)[0] > enough:
+            best = replace(values.pick(int(np.argmin(cost))), gram=None, residual=None)
+            found = refit(task, best, _CHOICE)
+            if en.profile_cost(task, found)[0] - en.profile_cost(task, fits)[0] > enough:
+                return found
     found = refit(task, starts, _CHOICE)
     best = int(np.argmin(en.criterion(task, found)))
     return refit(task, found.pick(best), rounds)

@@ -43,7 +43,7 @@ _PLACES = 14
 """Places within the shortest way, and again as many beyond it."""
 _BESIDE, _NEARBY = 0.7, 9
 """How far beside a shape nearer ones are looked for, in steps of the grid, and how many."""
-_NEAREST = 0.04
+NEAREST = 0.04
 """The first place, as a share of the shortest way."""
 
 
@@ -209,7 +209,7 @@ def _list_patches(task: EnsembleTask, scales: Scales) -> Iterator[Shape]:
     coordinates = task.model.coordinates
     amplitude, start = coordinates.indices(numbers_of(_PATCH))
     low, high = np.min(scales.ways), np.max(scales.ways)
-    places = np.linspace(_NEAREST, 1.0, _PLACES) * low
+    places = np.linspace(NEAREST, 1.0, _PLACES) * low
     size, typical = _OF_PATCH / coordinates.unit[amplitude], _find_typical(_PATCH)
     for place in np.append(places, np.linspace(low, high, _PLACES)[1:-1]):
         ends = place + np.array([0.0, -_BESIDE, _BESIDE]) * low / _PLACES

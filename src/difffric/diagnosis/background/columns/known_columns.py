@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.diagnosis.background.shape_columns import ShapeColumns
+from difffric.diagnosis.background.columns.shape_columns import ShapeColumns
 from difffric.diagnosis.background.small_effects import (
     SmallEffects,
     count_rows,

@@ -1,0 +1,124 @@
+"""Bristles beside a background of small effects, which all look like a patch where they begin.
+
+They have no null: no derivative leads to them, and their program is one of its own. So the joint
+fit is begun anew with bristles of each stiffness in place of what they are taken for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from difffric.diagnosis.background.columns.shape_columns import NEAREST
+from difffric.diagnosis.background.joint_fit import WIDE, follow_leaders, measure_left
+from difffric.diagnosis.background.joint_search import MOST_EXCESS, JointSearch
+from difffric.diagnosis.background.search import BackgroundSearch, search_from
+from difffric.diagnosis.background.shape_grid import leave_out
+from difffric.diagnosis.data import choose_subset, move_unseen
+from difffric.diagnosis.lack_of_fit import is_misfit_large
+from difffric.diagnosis.starting_values import list_starting_values
+from difffric.estimation.ensembles import ensemble, ensemble_refits, friction_scan
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
+from difffric.estimation.extended_model import PRESLIDING
+from difffric.rig.catalogue import numbers_of
+
+LIKE_BRISTLES = ("friction_patch", "friction_ratio", "friction_waviness")
+"""Effects that bristles are taken for."""
+_PLACE = "friction_patch.start_m"
+"""Where a patch begins."""
+_SCANS = 2
+"""How often the pushes' own mu_s are looked for beside each stiffness: where a patch stood for
+bristles mu_s was half of what it is."""
+_TRIED, _FIRST_ROUNDS = 4, 4
+"""Starts that are followed on some of the pushes, and the steps of these fits."""
+_HOPELESS, _POOR = 30.0, 3.0
+"""How many times as much as the joint fit one with bristles may leave after these steps, and with
+all pushes, before shapes are placed beside it: where bristles were hidden it was 1.4 times at most.
+"""
+
+
+def looks_like_bristles(found: BackgroundSearch) -> bool:
+    """Whether a search ended poorly, or with a patch that begins where a push does."""
+    if found.evidence.excess > MOST_EXCESS:
+        return True
+    (place,) = found.data.task.model.coordinates.values(found.joint.c[0], (_PLACE,))
+    at_edge = place < NEAREST * float(np.min(found.data.scales.ways))
+    return at_edge and _PLACE.partition(".")[0] in found.best.effects
+
+
+def search_beside_bristles(before: BackgroundSearch, plain: Fits) -> BackgroundSearch | None:
+    """Return the search with bristles in the model from the start, where they explain the data
+    better than what the search `before` ended with, and leave no large misfit; `plain` is the plain
+    fit (an ensemble of one)."""
+    data, small = before.data, before.small
+    joint = _fit_bristles(before, plain)
+    if joint is None:
+        return None
+    shaped = tuple(effect for effect in before.shaped if effect not in LIKE_BRISTLES)
+    index = list(data.task.model.coordinates.indices(numbers_of(PRESLIDING)))
+    kept = [*data.task.shared, *index]
+    c = plain.c.copy()
+    c[0, kept] = joint.c[0, kept]
+    start = replace(joint, c=c, extra=((*plain.extra[0], *index),), gram=None, residual=None)
+    start = ensemble.evaluate(data.task, replace(start, damping=None))
+    search = JointSearch(data, before.effects, True, small, start, joint, shaped)
+    found = search_from(search)
+    task = small.assume(data.task, WIDE)
+    value = ensemble.criterion(task, ensemble.join(before.joint, found.joint))
+    more = len(found.joint.extra[0]) - len(before.joint.extra[0])
+    if value[0] - value[1] <= task.price * max(more, len(index)):
+        return None
+    return None if is_misfit_large(data.task, found.joint) else found
+
+
+def _fit_bristles(before: BackgroundSearch, plain: Fits) -> Fits | None:
+    """Return the joint fit with bristles, and without what they are taken for; None where they
+    leave far more than the joint fit did without them."""
+    data = before.data
+    task, some = before.small.assume(data.task, WIDE), choose_subset(data.task)
+    left = measure_left(data.task, before.joint)
+    starts = _list_starts(task, before, plain)
+    fits = ensemble_refits.settle_narrowly(task, starts, some)
+    for _ in range(_SCANS):
+        again = _recentre(friction_scan.rescan_bad_pushes(task, fits, some), some)
+        fits = ensemble_refits.settle_narrowly(task, again, some)
+    cost = ensemble.sum_squares(task, fits, some)
+    fits = move_unseen(task, fits, starts, some).pick(np.argsort(cost)[:_TRIED])
+    fits = replace(fits, gram=None, residual=None, damping=None)
+    nearer = ensemble_refits.refit(task, fits, _FIRST_ROUNDS, some)
+    noise = task.counts[some].sum()
+    if ensemble.sum_squares(task, nearer, some).min() > _HOPELESS * left * noise:
+        return None
+    found, _ = follow_leaders(task, move_unseen(task, nearer, fits, some))
+    return found if measure_left(data.task, found) < _POOR * left else None
+
+
+def _list_starts(task: EnsembleTask, before: BackgroundSearch, plain: Fits) -> Fits:
+    """List fits with bristles of each stiffness: in the joint fit without what they are taken for,
+    and with all small effects at their nulls where the plain fit stands."""
+    data, coordinates = before.data, task.model.coordinates
+    like = {effect for effect in before.shaped if effect in LIKE_BRISTLES}
+    joint = leave_out(task, before.joint, like)
+    null = before.small.free(plain)
+    index = coordinates.indices([n for x in before.shaped if x not in like for n in numbers_of(x)])
+    c = null.c.copy()
+    c[0, index] = joint.c[0, index]
+    bases = (joint, replace(null, c=c, extra=joint.extra))
+    own, starts = coordinates.indices(numbers_of(PRESLIDING)), []
+    for base in bases:
+        for values in list_starting_values(PRESLIDING, data.scales):
+            c = base.c.copy()
+            c[0, own] = coordinates.point(values)
+            extra = ((*base.extra[0], *own),)
+            starts.append(replace(base, c=c, extra=extra, gram=None, residual=None, damping=None))
+    return ensemble.join(*starts)
+
+
+def _recentre(fits: Fits, some: np.ndarray) -> Fits:
+    """Return the fits with the median of the own mu_s of `some` pushes in the mean mu_s: the
+    next ones are looked for about that."""
+    middle = np.median(fits.own[:, some], axis=1, keepdims=True)
+    mu, own = fits.mu + middle, fits.own.copy()
+    own[:, some] -= middle
+    return replace(fits, mu=mu, own=own, gram=None, residual=None, damping=None)
