@@ -260,13 +260,16 @@ class _CauseSearch(CauseRounds):
         self.considered = fit_singles(task, self.plain, found)
         if share > BACKGROUND:
             assumed, self.whole = fit_beside_background(data, found, items)
-            if found.evidence.excess < ARRIVED:  # else no linear average is to be trusted
-                self.friction = estimate_friction(found.evidence, items, USUAL_SHARE)
             self.start = replace(self.start, data=replace(data, task=assumed))
             self.validation = CrossValidation(assumed, self.validation.folds)
         elif not items and found.evidence.excess < ARRIVED:
             self.friction = average_over_sets(found.evidence, base, found.sets)
         self._add_causes(found, p_values)
+        # Where the fit has not arrived no linear average is to be trusted.
+        if share > BACKGROUND and found.evidence.excess < ARRIVED:
+            there = {one.best.effect for one in self.named}
+            kept = tuple(item for item in items if item.effect in there)
+            self.friction = estimate_friction(found.evidence, kept, USUAL_SHARE)
         if bristles is not None:
             self._name_bristles(without)
         self.total = max(self.lack.excess, *(one.best.drop for one in self.named), 1.0)

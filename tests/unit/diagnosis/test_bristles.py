@@ -51,10 +51,12 @@ def test_the_median_of_the_pushes_goes_into_their_mean():
 
 
 @pytest.mark.slow
-def test_bristles_are_named_beside_a_background(tmp_path):
-    """Without bristles in the joint fit they are taken for a patch of 0.9 from the start on."""
-    case = random_case(1_300_001, "presliding", change=0.03)
-    one = Analysis(with_nuisances(case, np.random.default_rng([1_300_001, 5])), tmp_path, 0.005)
+@pytest.mark.parametrize(("seed", "change"), [(1_300_001, 0.03), (1_400_001, 0.01)])
+def test_bristles_are_named_beside_a_background(seed, change, tmp_path):
+    """Without bristles in the joint fit they are taken for a patch of 0.9 from the start on, or
+    for nothing; and a tilt that is dropped again leaves the mean of mu_s, too."""
+    case = random_case(seed, "presliding", change=change)
+    one = Analysis(with_nuisances(case, np.random.default_rng([seed, 5])), tmp_path, 0.005)
     assert [cause.id for cause in one.found.causes] == ["presliding"]
     value, _ = one.found.causes[0].parameters["sigma_0_N_per_m"]
     assert value == pytest.approx(case.effects["presliding"]["sigma_0_N_per_m"], rel=0.05)
