@@ -56,7 +56,8 @@ def test_bristles_are_named_beside_a_background(seed, change, tmp_path):
     """Without bristles in the joint fit they are taken for a patch of 0.9 from the start on, or
     for nothing; and a tilt that is dropped again leaves the mean of mu_s, too."""
     case = random_case(seed, "presliding", change=change)
-    one = Analysis(with_nuisances(case, np.random.default_rng([seed, 5])), tmp_path, 0.005)
+    case = with_nuisances(case, np.random.default_rng([seed, 5]), share=0.0035)
+    one = Analysis(case, tmp_path, 0.005)
     assert [cause.id for cause in one.found.causes] == ["presliding"]
     value, _ = one.found.causes[0].parameters["sigma_0_N_per_m"]
     assert value == pytest.approx(case.effects["presliding"]["sigma_0_N_per_m"], rel=0.05)
