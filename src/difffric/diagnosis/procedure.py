@@ -267,8 +267,8 @@ class _CauseSearch(CauseRounds):
         self._add_causes(found, p_values)
         # Where the fit has not arrived no linear average is to be trusted.
         if share > BACKGROUND and found.evidence.excess < ARRIVED:
-            there = {one.best.effect for one in self.named}
-            kept = tuple(item for item in items if item.effect in there)
+            told = {one.best.effect for one in self.named}
+            kept = tuple(item for item in items if item.effect in told)
             self.friction = estimate_friction(found.evidence, kept, USUAL_SHARE)
         if bristles is not None:
             self._name_bristles(without)

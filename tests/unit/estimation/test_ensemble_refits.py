@@ -170,7 +170,7 @@ def test_without_an_effect_a_fit_is_as_if_that_had_never_been_free(seed):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_fit_that_is_far_worse_without_an_effect_is_not_followed_to_its_end(seed):
+def test_a_fit_that_is_far_worse_without_an_effect_is_not_followed_to_its_end(seed, monkeypatch):
     rng = np.random.default_rng(seed)
     slopes = 100 * rng.normal(size=(8, 2, 4))
     measured = 3 * slopes[:, :, 2] + rng.normal(size=(8, 2))
@@ -180,10 +180,17 @@ def test_a_fit_that_is_far_worse_without_an_effect_is_not_followed_to_its_end(se
     bare = {"gram": None, "residual": None, "damping": None}
     whole = ensemble_refits.refit(task, replace(plain, extra=((2, 3),), **bare), 20)
     least = float(ensemble.profile_cost(task, whole)[0])
-    soon, late = (
-        ensemble_refits.refit_without(task, whole, plain, [[2]], 20, enough)
-        for enough in (100.0, np.inf)
-    )
+    asked, answers = [], task.model.answers
+
+    def count(index, c, directions, *more):
+        asked.append(len(index) * np.shape(directions)[-2])
+        return answers(index, c, directions, *more)
+
+    monkeypatch.setattr(task.model, "answers", count)
+    soon = ensemble_refits.refit_without(task, whole, plain, [[2]], 20, 100.0)
+    few = sum(asked)
+    late = ensemble_refits.refit_without(task, whole, plain, [[2]], 20)
+    assert few < sum(asked) - few, "fewer derivatives are asked for"
     assert soon.extra == late.extra == ((3,),) and soon.c[0, 2] == plain.c[0, 2]
     cost = [float(ensemble.profile_cost(task, one)[0]) for one in (soon, late)]
     assert least + 100.0 < cost[1] <= cost[0]

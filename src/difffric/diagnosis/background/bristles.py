@@ -1,4 +1,5 @@
-"""Bristles beside a background of small effects, which all look like a patch where they begin.
+"""Bristles beside a background of small effects, without which a search ends at a patch that begins
+where a push does.
 
 They have no null: no derivative leads to them, and their program is one of its own. So the joint
 fit is begun anew with bristles of each stiffness in place of what they are taken for.
