@@ -17,6 +17,7 @@ from difffric.diagnosis.background import search as background_search
 from difffric.diagnosis.background.columns.shape_columns import (
     Shape,
     ShapeColumns,
+    compute_columns,
     join_columns,
     list_nearby,
 )
@@ -360,6 +361,16 @@ def test_the_set_that_was_fitted_is_found_where_the_comparison_stands():
     assert cause_sets.find_set(found.evidence, {"friction_patch"}) is None
     nothing = cause_sets.find_set(found.evidence, ())
     assert nothing is not None and nothing.score == 0.0
+
+
+def test_no_shape_has_no_column():
+    # All that have one may be in the joint fit already.
+    task, _, _ = draw(cause=0.0)
+    none = compute_columns(task, ensemble.evaluate(task, start(task, 0.3)), [])
+    assert none.shapes == () and none.rows.shape[0] == N and none.rows.shape[-1] == 0
+    columns = make_shapes(0, 6)
+    assert join_columns(none.pick(["friction_patch"]), none).columns == ()
+    assert columns.shapes
 
 
 def test_columns_of_some_effects_are_theirs_in_their_order():

@@ -232,7 +232,7 @@ def compute_columns(task: EnsembleTask, at: Fits, shapes: Sequence[Shape]) -> Sh
             points[row, list(point)] = list(point.values())
             row += 1
     r, model = ask_at(task, at, points)
-    moved = (r[1:] - r[0]).reshape(len(points) - 1, task.n, -1)
+    moved = (r[1:] - r[0]).reshape(len(points) - 1, task.n, r[0].size // task.n)
     with np.errstate(invalid="ignore", divide="ignore"):
         change = measure_change(model[1:] / model[0] - 1)
     signs = np.array([1.0 - 2.0 * one.placed for one in shapes for _ in one.points])
