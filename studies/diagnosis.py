@@ -25,6 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from studies import diagnosis_figures as figures
+from studies import diagnosis_misses as misses
 from studies import diagnosis_targets as targets
 from studies import reliability, runs
 from tests.hidden import case as cases
@@ -117,9 +118,9 @@ def _outsider(i, seed):
     return random_case(seed, _turn(tuple(OUTSIDERS), i), strength=40.0)
 
 
-def _background(i, seed, share=0.0035, change: float | None = None):
+def _background(i, seed, share=0.0035, change: float | None = None, among=IN_RECORDINGS):
     """An effect, or none, among small ones of every other."""
-    effect = None if change is None else _turn(IN_RECORDINGS, i)
+    effect = None if change is None else _turn(among, i)
     for attempt in range(20):
         with suppress(ValueError):
             own = seed + 1_000_000 * attempt
@@ -145,6 +146,9 @@ GROUPS = {
     "background, 3 %": Group(13, 200, partial(_background, change=0.03), 0.005),
     "background, 1 %": Group(14, 200, partial(_background, change=0.01), 0.005),
     "three times, 3 %": Group(15, 200, partial(_background, share=0.0105, change=0.03), 0.005),
+    "outsiders, background": Group(
+        18, 150, partial(_background, change=0.03, among=tuple(OUTSIDERS)), 0.005
+    ),
     "s = 4": Group(16, 240, _strong(4.0)),
 }
 
@@ -326,7 +330,8 @@ def main(words: Sequence[str] | None = None) -> int:
         runs.add_missing(folder, kept, shorten)
     counted = targets.count_cases(everything, {group: GROUPS[group].count for group in GROUPS})
     head = f"Measured with source `{name}`: {counted} of the cases."
-    text = "\n\n".join((head, targets.tabulate(everything), figures.markdown(everything)))
+    tables = targets.tabulate(everything), figures.markdown(everything)
+    text = "\n\n".join(x for x in (head, *tables, misses.markdown(everything)) if x)
     print(text)
     if shard == (1, 1):
         figures.confusion(everything, IMAGE)

@@ -287,7 +287,7 @@ def rows_of(group: str, lines: Sequence[dict]) -> list[tuple[str, str]]:
     """A group's figures."""
     good = answered(lines)
     own = {"pairs": pair_rows, "outsiders": outsider_rows, "strong": strong_rows}
-    find = own.get(group, hidden_rows)
+    find = own.get(group.partition(",")[0], hidden_rows)
     rows = (clean_rows if group.startswith("clean") or group == "background" else find)(good)
     broken = [line["case"] for line in lines if "error" in line]
     seconds = np.median([x["seconds"] for x in good]) if good else np.nan
@@ -297,19 +297,6 @@ def rows_of(group: str, lines: Sequence[dict]) -> list[tuple[str, str]]:
         *([("no answer", ", ".join(map(str, broken)))] if broken else []),
         ("median time", f"{seconds:.0f} s"),
     ]
-
-
-def missed(everything: Mapping[str, Sequence[dict]]) -> list[str]:
-    """Hidden effects that are not in the first set, a line each."""
-    out = []
-    for group in ONE:
-        for x in answered(everything.get(group, ())):
-            if not first_right(x):
-                said = ", ".join(c["id"] for c in x["causes"]) or x["verdict"]
-                out.append(
-                    f"{group} {x['case']}: {', '.join(x['effects'])}, s = {x['s']:.3g}: {said}"
-                )
-    return out
 
 
 def markdown(everything: Mapping[str, Sequence[dict]]) -> str:
@@ -325,8 +312,6 @@ def markdown(everything: Mapping[str, Sequence[dict]]) -> str:
             "### Stated probabilities, one effect hidden",
             "\n".join(reliability.tabulate(one)),
         ]
-    if found := missed(everything):
-        parts += ["Not in the first set:", "\n".join(f"- {x}" for x in found)]
     return "\n\n".join(parts)
 
 

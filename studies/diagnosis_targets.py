@@ -159,8 +159,8 @@ def _is_anything_named(line: dict) -> bool:
     return bool(line["causes"])
 
 
-def _locate(everything: Everything) -> Found | None:
-    outside = [x for x in gather(everything, ("outsiders",)) if figures.is_unexplained(x)]
+def _locate(everything: Everything, group: str) -> Found | None:
+    outside = [x for x in gather(everything, [group]) if figures.is_unexplained(x)]
     return find_share(outside, figures.is_located)
 
 
@@ -189,7 +189,12 @@ TARGETS = (
            0.93, 0.97, _of_intervals(BESIDE_A_BACKGROUND)),
     Target("outsiders: `unexplained`",
            0.90, _ALL, _of_groups(["outsiders"], figures.is_unexplained)),
-    Target("outsiders: the right component, of those", 0.85, _ALL, _locate),
+    Target("outsiders: the right component, of those",
+           0.85, _ALL, partial(_locate, group="outsiders")),
+    Target("outsiders of 3 % beside a background: `unexplained`",
+           0.90, _ALL, _of_groups(["outsiders, background"], figures.is_unexplained)),
+    Target("the right component, of those",
+           0.85, _ALL, partial(_locate, group="outsiders, background")),
     Target("falsely `unexplained`",
            -_ALL, 0.03, _of_groups(_IN_CATALOGUE, figures.is_unexplained)),
     Target("pairs: both named", 0.90, _ALL, _of_groups(["pairs"], figures.are_all_named)),

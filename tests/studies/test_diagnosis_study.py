@@ -7,6 +7,7 @@ from functools import partial
 import pytest
 
 from studies import diagnosis as study
+from studies import diagnosis_misses as misses
 from studies import runs
 from tests.hidden import random_case
 
@@ -98,3 +99,24 @@ def test_a_case_whose_files_take_too_long_is_given_up(monkeypatch):
     monkeypatch.setattr(study, "write", lambda case, folder: time.sleep(5))
     line = study.run_case("clean", 0)
     assert line == {"group": "clean", "case": 0, "skipped": "takes longer than 0.2 s"}
+
+
+def test_what_went_wrong_is_listed_and_nothing_else():
+    outside = {**LINE, "effects": {}, "outsider": {"soft_layer": {}}, "causes": [], "s": 40.0}
+    outside |= {"components": ["contact"], "verdict": "unexplained", "location": "contact"}
+    nothing = {**LINE, "effects": {}, "causes": [], "verdict": "adequate", "location": None}
+    right = {"s = 6": [LINE], "outsiders, background": [outside], "clean": [nothing]}
+    assert misses.markdown(right) == ""
+    named = {**outside, "causes": [CAUSE], "verdict": "named", "location": None}
+    elsewhere = [{**outside, "location": "pusher"}, named]
+    wrong = {
+        "s = 6": [{**LINE, "s": 6.01, "effects": {"tilt": {}}}],
+        "outsiders, background": elsewhere,
+        "clean": [{**nothing, "causes": [CAUSE], "verdict": "named"}],
+    }
+    assert misses.list_missed(wrong) == ["s = 6 3: tilt, s = 6.01: stribeck"]
+    assert misses.list_misplaced(wrong) == [
+        "outsiders, background 3: soft_layer: unexplained pusher",
+        "outsiders, background 3: soft_layer: stribeck",
+    ]
+    assert misses.list_alarms(wrong) == ["clean 3: stribeck"]

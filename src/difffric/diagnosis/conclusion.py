@@ -137,6 +137,8 @@ class Findings:
     than a curve of no particular form; None: they were not compared"""
     curves: tuple[str, ...] = tuple(FORMS)
     """the free forms that may explain them"""
+    outside: Location | None = None
+    """what a curve in place of causes explains, where it was fitted beside a background"""
     unseen: float = 0.0
     """the relative change of mu_s by a small effect that no push can tell from it"""
     friction: tuple[np.ndarray, np.ndarray] | None = None
@@ -228,12 +230,10 @@ def _infer_friction(found: Findings, at: Fits, explained: bool) -> tuple[np.ndar
     ensemble of one) is what the diagnosis says, and the misfit is `explained` or not; small effects
     beside a plain model that leaves far more than they do say more of mu_s than that alone."""
     task = found.data.task
-    left = [
-        float(measure_lack_of_fit(task, fits).chi2.sum()) for fits in (found.plain, found.whole)
-    ]
+    left = [measure_lack_of_fit(task, fits).chi2.sum() for fits in (found.plain, found.whole)]
     if left[0] > _FAR_MORE * max(left[1], task.counts.sum()):
         at = found.whole
-    if found.friction is not None and (explained or at is not found.plain):
+    if found.friction is not None and (explained or found.outside or at is not found.plain):
         friction, errors = found.friction
         if np.isfinite(found.friction).all():
             return friction, np.hypot(errors, found.unseen)
@@ -302,10 +302,10 @@ def _locate_unexplained(
     """Locate the misfit if the causes do not explain it: too much is left of it, or one component
     that may bend freely explains it better than all of them."""
     task, plain, whole = found.data.task, found.plain, found.whole
+    if found.outside is not None or task.model.in_columns:  # no free form is followed in columns
+        return found.outside
     left = 0.0 if arrived else float(np.sqrt(max(after.excess, 0.0) / found.scale))
     nothing = not found.causes and not arrived
-    if task.model.in_columns:  # free forms cannot be followed in columns
-        return None
     drop = float(ensemble.criterion(task, plain)[0] - ensemble.criterion(task, whole)[0])
     if found.explained:
         much = left > _MUCH and after.excess > _SURELY * np.sqrt(2 * after.expected)

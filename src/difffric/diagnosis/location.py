@@ -91,7 +91,7 @@ def locate(
     explains a share.
     """
     wide = add_free_forms(task, scales)
-    at = _place_forms(wide, plain, among)
+    at = place_forms(wide, plain, among)
     price = np.array([len(x) - len(plain.extra[0]) for x in at.extra]) * task.price
     some = choose_subset(task) if task.model.recordings else np.arange(task.n)
     first = ensemble_refits.refit(wide, at, _FIRST_ROUNDS, some)
@@ -109,10 +109,10 @@ def locate(
     name = among[leaders[best]]
     shares = dict(zip(among, explained.tolist(), strict=True))
     worth = float((drop - price[leaders])[best])
-    return _make_location(wide, at.pick([best]), name, scales, shares, worth)
+    return make_location(wide, at.pick([best]), name, scales, shares, worth)
 
 
-def _place_forms(wide: EnsembleTask, plain: Fits, forms: Sequence[str]) -> Fits:
+def place_forms(wide: EnsembleTask, plain: Fits, forms: Sequence[str]) -> Fits:
     """Repeat the plain fit for each of the forms, its coefficients free and still zero."""
     coordinates = wide.model.coordinates
     extra = []
@@ -127,7 +127,7 @@ def _place_forms(wide: EnsembleTask, plain: Fits, forms: Sequence[str]) -> Fits:
     return replace(start, extra=tuple(extra), c=c, gram=None, residual=None, damping=None)
 
 
-def _make_location(
+def make_location(
     task: EnsembleTask,
     at: Fits,
     name: str,

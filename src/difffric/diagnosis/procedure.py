@@ -19,8 +19,9 @@ from difffric.diagnosis.background.bristles import (
     search_beside_bristles,
 )
 from difffric.diagnosis.background.cause_sets import compute_price
+from difffric.diagnosis.background.curve_comparison import compare_with_curves
+from difffric.diagnosis.background.curve_fit import NEARLY_ALL, fit_curve_for_causes
 from difffric.diagnosis.background.evidence import PossibleCause
-from difffric.diagnosis.background.free_curves import compare_with_curves
 from difffric.diagnosis.background.friction_estimate import average_over_sets, estimate_friction
 from difffric.diagnosis.background.joint_search import ARRIVED, MOST_EXCESS
 from difffric.diagnosis.background.naming import (
@@ -47,6 +48,7 @@ from difffric.diagnosis.extended_setup import describe_plain
 from difffric.diagnosis.impossible_measurements import find_unreachable
 from difffric.diagnosis.inferred.changes import measure_changes
 from difffric.diagnosis.lack_of_fit import LackOfFit, is_misfit_large, measure_lack_of_fit
+from difffric.diagnosis.location import Location
 from difffric.diagnosis.score_test import SIGNIFICANT, Score, compute_p_value, run_score_tests
 from difffric.diagnosis.start import SearchStart, calibrate_plain, fit_plain_model, prepare_start
 from difffric.diagnosis.verdict import Diagnosis
@@ -136,8 +138,7 @@ class _CauseSearch(CauseRounds):
     scores: Mapping[str, Score] = field(default_factory=dict)
     """the first round's score tests"""
     visible: dict[str, float] = field(default_factory=dict)
-    """standard deviations at which each effect would be seen at its typical size, by its last score
-    test"""
+    """standard deviations at which each effect would be seen at its typical size"""
     total: float | None = None
     """what there was to explain, in -2 log likelihood"""
     notes: tuple[str, ...] = ()
@@ -150,6 +151,8 @@ class _CauseSearch(CauseRounds):
     """whether causes and background explain the data better than a curve of no particular form"""
     curves: tuple[str, ...] = ()
     """the curve that does"""
+    outside: Location | None = None
+    """where it is fitted beside a background, what it says"""
     share: float = 0.0
     """of their units by which small effects scatter"""
     friction: tuple[np.ndarray, np.ndarray] | None = None
@@ -214,6 +217,7 @@ class _CauseSearch(CauseRounds):
             notes=self.notes,
             explained=self.explained,
             curves=self.curves,
+            outside=self.outside,
             unseen=self._find_unseen(),
             friction=self.friction,
         )
@@ -231,14 +235,17 @@ class _CauseSearch(CauseRounds):
         self.scores = run_score_tests(task, self.plain, small)
         self.visible |= {effect: score.visible for effect, score in self.scores.items()}
         found, p_values, base = self._choose_causes(found)
+        without, curve, bristles = found.joint, None, None
         if p_values or self.share > BACKGROUND:
             self.tell("comparing with free curves", 0.6)
             compared = compare_with_curves(data, found, tuple(p_values), self.plain, base)
             # What a curve changes by less than matters is left, and is told as what is left.
             self.explained = not compared.is_outside or compared.change < self.matters
             self.curves = (compared.best,)
-        without, bristles = found.joint, None
-        if PRESLIDING in wanted and self._is_poor(found, p_values, base):
+            if self.share > BACKGROUND:
+                curve = fit_curve_for_causes(found, p_values, compared, self.lack.excess)
+        sure = curve is not None and curve.share > NEARLY_ALL
+        if PRESLIDING in wanted and not sure and self._is_poor(found, p_values, base):
             if self._add_bristles([base, found.joint]):
                 return
             outside = self.explained is False and self.share > BACKGROUND
@@ -247,13 +254,17 @@ class _CauseSearch(CauseRounds):
         if bristles is not None:
             found, p_values, base = self._choose_causes(bristles)
             self.explained = True
+        elif curve is not None:
+            self.outside, self.friction, self.explained = curve.location, curve.friction, False
+            self.considered = fit_singles(task, self.plain, found)
+            return
         items, share = tuple(p_values), self.share
         self.base = self.whole = base
         if items and self.tell is not silent:
             tell_answer("what stands out, before it is judged", [x.effect for x in items])
         if self.base is not self.plain:
-            there = [item.effect for item in items] + [PRESLIDING] * (bristles is not None)
-            bare = self._leave_out(self.base, *there)
+            bristly = [PRESLIDING] * (bristles is not None)
+            bare = self._leave_out(self.base, *(item.effect for item in items), *bristly)
             value = ensemble.criterion(task, ensemble.join(self.plain, bare))
             if value[1] < value[0]:
                 self.plain, self.lack = bare, measure_lack_of_fit(task, bare)

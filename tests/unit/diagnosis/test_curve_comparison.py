@@ -2,7 +2,7 @@
 
 import pytest
 
-from difffric.diagnosis.background.free_curves import CurveComparison, limit_curves
+from difffric.diagnosis.background.curve_comparison import CurveComparison, limit_curves
 
 
 def compare(causes, alone, both, count=1, share=0.0) -> CurveComparison:
@@ -50,3 +50,17 @@ def test_a_curve_alone_explains_no_more_than_beside_the_causes(adds, outside):
     assert compare(causes, alone["spring"], both["spring"]).is_outside
     limited = CurveComparison(causes, limit_curves(alone, both), both, count=1)
     assert limited.is_outside == outside
+
+
+def test_curves_are_fitted_where_one_explains_more_than_the_causes_by_itself_or_beside_them():
+    assert compare(100.0, 60.0, 110.0).may_be_needed
+    assert compare(100.0, 110.0, 90.0).may_be_needed
+    assert not compare(100.0, 99.0, 102.0).may_be_needed
+    assert not CurveComparison(-5.0, {"spring": -4.0}, {}).may_be_needed
+
+
+def test_the_form_that_explains_most_by_itself_or_beside_the_causes_comes_first():
+    alone = {"spring": 1.0, "travel": 3.0, "force": 2.0}
+    assert CurveComparison(0.0, alone, {}).rank_forms() == ["travel", "force", "spring"]
+    both = {"spring": 9.0, "travel": 3.0, "force": 4.0}
+    assert CurveComparison(3.0, alone, both).rank_forms() == ["spring", "force", "travel"]

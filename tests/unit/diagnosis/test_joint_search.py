@@ -15,6 +15,7 @@ from difffric.diagnosis.background import search as background_search
 from difffric.diagnosis.background.cause_sets import find_set
 from difffric.diagnosis.background.joint_fit import WIDE, measure_left
 from difffric.diagnosis.background.joint_search import JointSearch
+from difffric.diagnosis.background.placement import hold_at_null
 from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.diagnosis.data import move_unseen
 from difffric.estimation.ensembles import ensemble, ensemble_refits
@@ -22,6 +23,8 @@ from tests.unit.diagnosis.linear_rig import make_task, start
 
 N, EFFECTS = 12, ("tilt", "force_gain", "static_dwell")
 TILT, GAIN, DWELL = 2, 3, 4
+WAYS = ("add", "place", "move", "drop", "begin", "enlarge", "replace", "rescan")
+"""What the names of the joint search's changes begin with."""
 
 
 def make_joint(
@@ -113,7 +116,7 @@ def test_a_cause_that_was_held_at_its_null_is_fitted_again(seed):
     start = search.small.start.copy()
     start[TILT] = 1e-6
     search.small = replace(search.small, start=start)
-    search.joint = ensemble.evaluate(search.data.task, search._hold(held))
+    search.joint = ensemble.evaluate(search.data.task, hold_at_null(search.small, held))
     assert TILT not in search.joint.extra[0]
     evidence = search.weigh()
     one = find_set(evidence, {"tilt"})
@@ -136,6 +139,32 @@ def test_fits_that_leave_far_more_after_their_first_steps_are_not_followed(monke
 
     assert count_followed(1.5, 0.0) == 1  # one effect leaves noise
     assert count_followed(1.5, 1.5) == 0  # it takes both
+
+
+@pytest.mark.parametrize(("lost", "turns", "anew"), [(0.01, 3, True), (0.1, 20, False)])
+def test_changes_that_hardly_help_far_off_give_way_to_a_new_beginning(
+    monkeypatch, lost, turns, anew
+):
+    """Shapes are placed as long as each leaves far less; three changes that do not are enough."""
+    search, called = make_joint(0, 0.0, 0.0, unseen=0.0), []
+    left = [100.0]
+
+    def answer(name, helps):
+        def change(evidence):
+            called.append(name)
+            left[0] *= 1 - lost if helps else 1.0
+            return helps
+
+        return change
+
+    ways = [name for name in vars(JointSearch) if name.partition("_")[0] in WAYS]
+    for name in ways:
+        monkeypatch.setattr(search, name, answer(name, name == "place_shapes"))
+    monkeypatch.setattr(joint_search, "measure_left", lambda task, at: left[0])
+    monkeypatch.setattr(search, "weigh", lambda: SimpleNamespace(excess=left[0]))
+    search.arrive()
+    assert called.count("place_shapes") == turns
+    assert ("begin_with_one" in called) == anew
 
 
 def test_pushes_that_a_fit_did_not_see_move_as_those_did_that_it_saw():

@@ -127,3 +127,17 @@ def test_fits_begin_with_the_effects_whose_step_promises_most(hidden):
     assert chosen[0] == index[hidden] and len(chosen) == len(starts) < len(MANY)
     assert [one.extra for one in starts] == [((i,),) for i in chosen]
     assert all(not one.c[0, index].any() for one in starts)
+
+
+def test_effects_without_a_derivative_are_held_at_their_nulls_but_for_those_that_are_free():
+    task, slopes = draw(0, patch=0.0, level=0.0)
+    small = weigh(task, slopes, ensemble.evaluate(task, start(task, 0.05))).small
+    held, free = SMALL[:2]
+    beside = small.start.copy()
+    beside[[held, free]] = 0.1
+    small = replace(small, start=beside)
+    at = small.free(start(task, 0.05))
+    assert (at.c[0, [held, free]] == 0.1).all()
+    found = placement.hold_at_null(small, at, (free,))
+    assert found.c[0, held] == small.null[held] and found.c[0, free] == 0.1
+    assert set(at.extra[0]) - set(found.extra[0]) == {held}

@@ -73,6 +73,16 @@ class CurveComparison:
         return max(self.curves, key=lambda name: self.curves[name])
 
     @property
+    def may_be_needed(self) -> bool:
+        """Whether a curve, alone or beside the causes, explains more than they do by such odds."""
+        most = max((*self.curves.values(), *self.both.values()))
+        return most > max(self.causes, 0.0) + _ODDS
+
+    def rank_forms(self) -> list[str]:
+        """List the forms, that one first which explains most by itself or beside the causes."""
+        return sorted(self.curves, key=lambda x: -max(self.curves[x], self.both.get(x, -np.inf)))
+
+    @property
     def is_outside(self) -> bool:
         """Whether a curve explains the data better than the causes, which add little to it, and
         than nothing at all, by odds that leave no doubt: a smooth cause is a smooth curve, too.

@@ -21,7 +21,7 @@ from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 WIDE = 3.0
 """Shares of their units by which small effects are assumed to scatter while they are fitted: more
 than any background has, so that a cause among them is hardly held back."""
-_LEAST_SHARE = 0.1
+LEAST_SHARE = 0.1
 """The share of their units by which the background is assumed to scatter at least, while a set of
 causes is fitted."""
 _FIRST_ROUNDS, _ROUNDS = 6, 15
@@ -95,7 +95,7 @@ def free_causes(
 ) -> EnsembleTask:
     """Return the task of fits in which the `items` have any size, and the other small effects
     scatter as the evidence says."""
-    share = max(evidence.estimate_share(items), _LEAST_SHARE)
+    share = max(evidence.estimate_share(items), LEAST_SHARE)
     free = {item.effect for item in items}
     causes = {i for i, effect in zip(small.index, small.effects, strict=True) if effect in free}
     return small.assume(task, share, causes)

@@ -30,6 +30,7 @@ from difffric.diagnosis.background.joint_fit import (
 )
 from difffric.diagnosis.background.placement import (
     begin_with_each,
+    hold_at_null,
     place_shapes,
     predict_start,
     put_small,
@@ -59,6 +60,10 @@ ARRIVED = 1.1
 _MISPLACED = 1.03
 """The same from which on shapes may be at wrong places: two waves at lengths that are not theirs
 left 1.07 to 1.09 in place of 1.00 to 1.02."""
+_AFAR, _SLOWLY, _STALLED = 3.0, 0.97, 3
+"""Squares per number above which a change that leaves this share of them hardly helps, and after
+how many such changes running only a new beginning may: each gains a little where something outside
+the catalogue is, and none leads anywhere."""
 _HARDLY = 1.02
 """The same from which on something may be left."""
 _HIDDEN, _LARGEST_SIZES = ("static_dwell",), 5
@@ -106,7 +111,7 @@ class JointSearch:
     def arrive(self) -> Evidence:
         """Place shapes until what is left says of no more of them, and return the comparison where
         that ends."""
-        evidence = self.weigh()
+        evidence, slow = self.weigh(), 0
         for _ in range(_MOST_SHAPED):
             ways = [self.place_shapes]
             if evidence.excess > MOST_EXCESS:
@@ -118,10 +123,14 @@ class JointSearch:
             ways += [self.drop_shape, self.begin_with_one] if far else []
             if left > _HARDLY or len(self.shaped) > 1:
                 ways += [self.enlarge_hidden]
+            if slow >= _STALLED:
+                ways = [self.drop_shape, self.begin_with_one, self.enlarge_hidden]
             ways += [self.replace_shape, self.add_misjudged]
             if not any(place(evidence) for place in ways):
                 break
             evidence = self.weigh()
+            now = measure_left(self.data.task, self.joint)
+            slow = slow + 1 if now > max(_AFAR, _SLOWLY * left) else 0
         return evidence
 
     def draw_near(self) -> bool:
@@ -161,23 +170,13 @@ class JointSearch:
             for value in list_starting_values(effect, self.data.scales)[-_LARGEST_SIZES:]:
                 c = self.joint.c.copy()
                 c[0, coordinates.indices(list(value))] = coordinates.point(value)
-                starts.append(self._hold(replace(self.joint, c=c)))
+                starts.append(hold_at_null(self.small, replace(self.joint, c=c)))
         if not starts:
             return False
         at = ensemble_refits.settle_narrowly(task, ensemble.join(*starts))
         at = ensemble_refits.settle_narrowly(task, friction_scan.rescan_bad_pushes(task, at))
         best = at.pick(int(np.argmin(ensemble.sum_squares(task, at))))
         return self._follow_start(task, replace(best, gram=None, residual=None, damping=None))
-
-    def _hold(self, at: Fits, free: Sequence[int] = ()) -> Fits:
-        """Return a fit with the effects that have no derivative at their null there, but for those
-        that are `free`: beside it a push may jump, and every step fails."""
-        small = self.small
-        held = [i for i in small.index if small.start[i] != small.null[i] and i not in free]
-        c = at.c.copy()
-        c[:, held] = small.null[held]
-        extra = tuple(tuple(i for i in own if i not in held) for own in at.extra)
-        return replace(at, c=c, extra=extra, gram=None, residual=None, damping=None)
 
     def _follow_start(
         self, task: EnsembleTask, start: Fits, worth: float = _NEXT_TO_NOTHING
@@ -334,7 +333,7 @@ class JointSearch:
         if ensemble.criterion(self.data.task, fits)[0] > joint + _EACH * len(index):
             return False
         before, self.large = self.large, self.large | {chosen[which]}
-        start = self._hold(self.small.free(fits), fits.extra[0])
+        start = hold_at_null(self.small, self.small.free(fits), fits.extra[0])
         if self._follow_start(self._assume_wide(), start, worth):
             return True
         self.large = before

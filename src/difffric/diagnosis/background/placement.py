@@ -142,3 +142,13 @@ def _rank_promises(
         H, g = found.H[:, own][:, :, own], found.g[:, own]
         promised.append(-float((ensemble.solve(H, g) * g).sum()))
     return [index[k] for k in np.argsort(promised)[::-1]]
+
+
+def hold_at_null(small: SmallEffects, at: Fits, free: Sequence[int] = ()) -> Fits:
+    """Return fits with the small effects that have no derivative at their null there, but for those
+    coordinates that are `free`: beside it a push may jump, and every step fails."""
+    held = [i for i in small.index if small.start[i] != small.null[i] and i not in free]
+    c = at.c.copy()
+    c[:, held] = small.null[held]
+    extra = tuple(tuple(i for i in own if i not in held) for own in at.extra)
+    return replace(at, c=c, extra=extra, gram=None, residual=None, damping=None)
