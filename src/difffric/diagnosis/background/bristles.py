@@ -92,7 +92,7 @@ def _fit_bristles(before: BackgroundSearch, plain: Fits) -> Fits | None:
     if ensemble.sum_squares(task, nearer, some).min() > _HOPELESS * left * noise:
         return None
     found, _ = follow_leaders(task, move_unseen(task, nearer, fits, some))
-    return found if measure_left(data.task, found) < _POOR * left else None
+    return found if measure_left(data.task, found) < min(_POOR * left, _MOST) else None
 
 
 def _list_starts(task: EnsembleTask, before: BackgroundSearch, plain: Fits) -> Fits:

@@ -21,6 +21,7 @@ from difffric.diagnosis.background.evidence import (
     PossibleCause,
     sum_logs,
 )
+from difffric.diagnosis.background.joint_fit import measure_left
 from difffric.diagnosis.background.naming import BACKGROUND
 from difffric.diagnosis.background.search import BackgroundSearch
 from difffric.diagnosis.background.small_effects import ask_at
@@ -46,6 +47,9 @@ _STEP = 1e-5
 by derivatives, good sensors see so much; at 1e-5 they are within some hundredths."""
 _LITTLE = 0.25
 """Share of what causes explain by themselves that they add to a curve where it stands for them."""
+_FAR_OFF = 10.0
+"""Squares per number from which on a fit explains nothing: no rig whose cause was named rightly was
+left with more than 3."""
 _MANY, _HALF = 3, 0.5
 """From how many causes on one may doubt that they are any, and the share of what they explain."""
 
@@ -66,6 +70,8 @@ class CurveComparison:
     """share of mu_s that changes F_p or d by as much as the best curve does"""
     share: float = 0.0
     """of their units by which all effects that are no causes scatter"""
+    left: float = 1.0
+    """squares per number, in units of the noise, that the joint fit leaves"""
 
     @property
     def best(self) -> str:
@@ -90,7 +96,8 @@ class CurveComparison:
         Of many causes it is enough that a curve explains half of what they do, and is needed beside
         them: they then imitate what none of them is. So do as many causes that stand out while all
         other effects are exactly at their nulls, which no rig's are. Beside a background a curve is
-        needed where a small shape is at a wrong place, too: there they must add little to it.
+        needed where a small shape is at a wrong place, too: there they must add little to it. Where
+        ten times the noise is left, whatever causes add to a curve explains nothing.
         """
         if self.count >= TOO_MANY and self.share <= BACKGROUND:
             return True
@@ -101,7 +108,7 @@ class CurveComparison:
             imitated &= added <= _HALF * causes
         if imitated and beside > self.causes + _ODDS:
             return True
-        return alone > causes + _ODDS and added <= _LITTLE * causes
+        return alone > causes + _ODDS and (added <= _LITTLE * causes or self.left > _FAR_OFF)
 
 
 def compare_with_curves(
@@ -148,6 +155,7 @@ def compare_with_curves(
         both=both,
         change=compare_readings(wide, bent, c).as_mu_s,
         share=share,
+        left=measure_left(task, joint),
     )
 
 
