@@ -37,6 +37,9 @@ _HOPELESS, _POOR = 30.0, 3.0
 """How many times as much as the joint fit one with bristles may leave after these steps, and with
 all pushes, before shapes are placed beside it: where bristles were hidden it was 1.4 times at most.
 """
+_MOST = 10.0
+"""Squares per number that it may leave in any case: where bristles were hidden it was 3.4 at most.
+"""
 
 
 def looks_like_bristles(found: BackgroundSearch) -> bool:
