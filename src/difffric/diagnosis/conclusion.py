@@ -19,7 +19,7 @@ from difffric.diagnosis.inferred.friction import (
     compute_friction_errors,
     find_friction,
 )
-from difffric.diagnosis.lack_of_fit import LackOfFit, measure_lack_of_fit
+from difffric.diagnosis.lack_of_fit import LackOfFit, is_misfit_large, measure_lack_of_fit
 from difffric.diagnosis.location import Location, locate
 from difffric.diagnosis.misfit import Misfit, describe_remaining, measure_misfits
 from difffric.diagnosis.next_experiment import Experiment, Pair, plan_experiments
@@ -175,14 +175,12 @@ def conclude(found: Findings, tell: Tell) -> Diagnosis:
     extended, slight = found.extended, found.slight
     after = measure_lack_of_fit(task, whole)
     gain, notes = _measure_gain(found)
-    p_value = found.validation.measure_floor_p_value(whole)
     arrived = found.validation.is_at_floor(whole)
     location = _locate_unexplained(found, after, arrived, tell)
     misfit = measure_misfits(found.data, plain, whole)
     if location is not None:
         causes, slight, extended, whole = (), (), plain, plain
         gain = replace(gain, after=gain.before)
-        p_value = found.validation.measure_floor_p_value(whole)
         misfit = measure_misfits(found.data, plain, plain)
     verdict = _judge(causes, found.certificates, location)
     unseen = _list_invisible(found, causes)
@@ -190,7 +188,6 @@ def conclude(found: Findings, tell: Tell) -> Diagnosis:
     rig = extend_rig(strip_effects(found.setup)[0].rig, task, extended)
     friction, errors = _infer_friction(found, whole, location is None)
     errors = np.hypot(errors, _measure_ambiguity(task, causes))
-    before = find_friction(task, plain)
     return Diagnosis(
         verdict=verdict,
         p_value=found.lack.p_value,
@@ -209,7 +206,7 @@ def conclude(found: Findings, tell: Tell) -> Diagnosis:
         ),
         location=location,
         gain=gain,
-        remaining=_tell_remaining(gain.after, p_value, misfit, arrived and location is None),
+        remaining=_tell_remaining(found, whole, gain.after, misfit, arrived and location is None),
         not_visible=unseen,
         experiments=_plan_experiments(found, whole, ambiguous, unseen, tell),
         impossible=found.data.impossible,
@@ -218,7 +215,7 @@ def conclude(found: Findings, tell: Tell) -> Diagnosis:
         setup=extend_setup(found.setup, rig, task, extended),
         mu_s=tuple(np.exp(friction).tolist()),
         mu_s_standard_error=tuple((np.exp(friction) * errors).tolist()),
-        change_mu_s=float(np.sqrt(np.mean((friction - before) ** 2))),
+        change_mu_s=float(np.sqrt(np.mean((friction - find_friction(task, plain)) ** 2))),
         notes=(*_note_plain_fit(found), *found.notes, *notes),
         misfit=misfit,
         state=DiagnosisState(found.data, plain, whole, found.lack, after),
@@ -245,9 +242,13 @@ def _infer_friction(found: Findings, at: Fits, explained: bool) -> tuple[np.ndar
 
 
 def _tell_remaining(
-    nrmse: float, p_value: float | None, misfit: Sequence[Misfit], arrived: bool
+    found: Findings, at: Fits, nrmse: float, misfit: Sequence[Misfit], arrived: bool
 ) -> Remaining | None:
-    """Tell what is left of held-out pushes, where that is more than noise."""
+    """Tell what is left beyond noise: of held-out pushes, or of all where few can be foreseen."""
+    p_value = found.validation.measure_floor_p_value(at)
+    lack = measure_lack_of_fit(found.data.task, at)
+    if arrived and lack.p_value is not None and is_misfit_large(found.data.task, at):
+        p_value, arrived = lack.p_value, False
     if arrived or p_value is None:
         return None
     return Remaining(nrmse, p_value, describe_remaining(misfit))

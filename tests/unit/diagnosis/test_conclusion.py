@@ -1,11 +1,18 @@
 """Which effects a cause is confused with, and how probable it is among them."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
+from difffric.diagnosis import conclusion
 from difffric.diagnosis.conclusion import ALIKE, NamedCause
 from difffric.diagnosis.exploration import CandidateCause
+from difffric.estimation.ensembles import ensemble
 from difffric.estimation.ensembles.ensemble import Fits
+from tests.unit.diagnosis.linear_rig import make_task, start
 
 NO_FITS = Fits(((),), *(np.zeros((1, 1)) for _ in range(3)), np.ones(1), np.ones((1, 2)))
 
@@ -26,3 +33,21 @@ def test_two_that_explain_the_same_are_as_probable_and_odds_are_20_at_the_limit(
     assert NamedCause(best, (best, same), NO_FITS).probability == pytest.approx(0.5)
     limit = candidate("force_gain", 50.0 - ALIKE)
     assert NamedCause(best, (best, limit), NO_FITS).probability == pytest.approx(20 / 21)
+
+
+@pytest.mark.parametrize(("left", "told"), [(1.0, False), (1.2, False), (2.0, True)])
+def test_what_all_pushes_leave_is_told_where_those_that_are_hardly_foreseen_hide_it(
+    monkeypatch, left, told
+):
+    rng = np.random.default_rng(0)
+    task = make_task(rng.normal(size=(400, 2, 2)), np.zeros((400, 2)), ("k",), shared=(1,))
+    at = ensemble.evaluate(task, start(task, 0.3))
+    at = replace(at, residual=at.residual + rng.normal(size=at.residual.shape))
+    size = np.sqrt(left * (task.counts.sum() - 402) / (at.residual**2).sum())
+    at = replace(at, residual=size * at.residual)
+    validation = SimpleNamespace(measure_floor_p_value=lambda fits: 0.5)
+    monkeypatch.setattr(conclusion, "describe_remaining", lambda misfit: "a phase")
+    found: Any = SimpleNamespace(data=SimpleNamespace(task=task), validation=validation)
+    remaining = conclusion._tell_remaining(found, at, 1.9, [], arrived=True)
+    assert (remaining is not None) == told
+    assert remaining is None or remaining.p_value < 1e-3

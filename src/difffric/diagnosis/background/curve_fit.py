@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from difffric.diagnosis.background.curve_comparison import CurveComparison
 from difffric.diagnosis.background.evidence import PossibleCause
 from difffric.diagnosis.background.joint_fit import LEAST_SHARE, WIDE, fit_best, measure_left
+from difffric.diagnosis.background.joint_search import ARRIVED
 from difffric.diagnosis.background.search import BackgroundSearch
 from difffric.diagnosis.background.shape_grid import leave_out
 from difffric.diagnosis.background.size_scan import CUTTING
@@ -67,7 +68,7 @@ def fit_curve_for_causes(
     """
     data, task = found.data, found.data.task
     left = measure_left(task, found.joint)
-    if left < _LEFT or not compared.may_be_needed:
+    if left < _LEFT or not (left > ARRIVED or compared.may_be_needed):
         return None
     share = max(compared.share, LEAST_SHARE)
     wide = _assume_beside_forms(data, found.small, share)
