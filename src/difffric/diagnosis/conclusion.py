@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from difffric.calibration.result import Fit
-from difffric.diagnosis.cross_validation import CrossValidation, Remaining
+from difffric.diagnosis.cross_validation import FLOOR, CrossValidation, Remaining
 from difffric.diagnosis.data import DiagnosisData
 from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.extended_setup import extend_rig, extend_setup, strip_effects
@@ -246,9 +246,9 @@ def _tell_remaining(
 ) -> Remaining | None:
     """Tell what is left beyond noise: of held-out pushes, or of all where few can be foreseen."""
     p_value = found.validation.measure_floor_p_value(at)
-    lack = measure_lack_of_fit(found.data.task, at)
-    if arrived and lack.p_value is not None and is_misfit_large(found.data.task, at):
-        p_value, arrived = lack.p_value, False
+    sure = measure_lack_of_fit(found.data.task, at).p_value or 0.0
+    if arrived and sure < FLOOR and is_misfit_large(found.data.task, at):
+        p_value, arrived = sure, p_value is None
     if arrived or p_value is None:
         return None
     return Remaining(nrmse, p_value, describe_remaining(misfit))

@@ -35,7 +35,7 @@ def test_two_that_explain_the_same_are_as_probable_and_odds_are_20_at_the_limit(
     assert NamedCause(best, (best, limit), NO_FITS).probability == pytest.approx(20 / 21)
 
 
-@pytest.mark.parametrize(("left", "told"), [(1.0, False), (1.2, False), (2.0, True)])
+@pytest.mark.parametrize(("left", "told"), [(1.0, False), (1.9, False), (2.5, True)])
 def test_what_all_pushes_leave_is_told_where_those_that_are_hardly_foreseen_hide_it(
     monkeypatch, left, told
 ):
@@ -48,6 +48,7 @@ def test_what_all_pushes_leave_is_told_where_those_that_are_hardly_foreseen_hide
     validation = SimpleNamespace(measure_floor_p_value=lambda fits: 0.5)
     monkeypatch.setattr(conclusion, "describe_remaining", lambda misfit: "a phase")
     found: Any = SimpleNamespace(data=SimpleNamespace(task=task), validation=validation)
+    # A table's pushes each have a mu_s of their own, which may take up half of all numbers.
     remaining = conclusion._tell_remaining(found, at, 1.9, [], arrived=True)
     assert (remaining is not None) == told
     assert remaining is None or remaining.p_value < 1e-3
