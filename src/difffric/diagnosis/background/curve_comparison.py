@@ -187,7 +187,7 @@ def _measure_columns(wide: EnsembleTask, joint: Fits) -> NDArray:
     return np.moveaxis(moved, 0, 2)
 
 
-class _CurveFit(NamedTuple):
+class _WeighedCurve(NamedTuple):
     gain: float
     """log likelihood beyond that of nothing at all, averaged over states and priors"""
     coefficients: NDArray
@@ -199,7 +199,7 @@ def _weigh_curves(
     items: Sequence[PossibleCause],
     curves: Sequence[NDArray],
     priors: Sequence[NDArray],
-) -> Iterator[_CurveFit]:
+) -> Iterator[_WeighedCurve]:
     """Yield what each of the `curves` explains beside the `items` as causes: k columns (n, R, k),
     whose sizes are normal about zero with one of the covariances `priors` (k, k)."""
     states = evidence.list_states(items)
@@ -212,7 +212,7 @@ def _weigh_curves(
                 logs.append(log + 0.5 * gain)
                 fits.append(coefficients)
         gain = float(sum_logs(logs) - np.log(len(priors)) - evidence.nothing)
-        yield _CurveFit(gain, fits[int(np.argmax(logs))])
+        yield _WeighedCurve(gain, fits[int(np.argmax(logs))])
 
 
 def _fit_curve(
