@@ -79,7 +79,7 @@ def fit_curve_for_causes(
     drop = float(drop[0] - ensemble.criterion(wide, fits)[0])
     price = task.price * SPLINES
     beyond = measure_left(task, fits) - 1.0
-    if drop < _TWICE * price or beyond > (1.0 - _HALF) * (left - 1.0):
+    if not (drop >= _TWICE * price and beyond <= (1.0 - _HALF) * (left - 1.0)):
         return None
     explained = {form: 1.0 - max(beyond, 0.0) * float(task.counts.sum()) / max(excess, 1.0)}
     location = make_location(wide, fits, form, data.scales, explained, drop - price)
