@@ -103,7 +103,8 @@ def search_minimum(
 ) -> tuple[NDArray, Evaluation, int]:
     """(x, the model there, steps) near `x` where the sum of squares is least, after `most` steps at
     most, of which the first is the look at `x` itself. The search ends where the model gives no
-    number for a step, and after one that brings the sum down by less than is `worth` it."""
+    number for a step, and after one that brings the sum down by less than is `worth` it, or fails
+    though it promised no more."""
     with np.errstate(all="ignore"):  # what is no number is refused
         here, at, region, refused, steps = evaluate(x), x, 1.0, 0, 1
         trial = x - here.jacobian.solve(here.r, 1.0)
@@ -118,6 +119,7 @@ def search_minimum(
                 at, here, refused = trial, found, 0
             else:
                 refused += 1
+                arrived = gain.promised < worth  # shorter ones promise less
             trial = at - here.jacobian.solve(here.r, 1.0 / region)
             still = arrived or _is_none(trial - before)
     return at, here, steps
@@ -134,6 +136,8 @@ class _StepOutcome(NamedTuple):
     accepted: bool
     factor: float
     """of the trust region"""
+    promised: float
+    """by how much the sum of squares was to fall"""
 
 
 def _compare(here: Evaluation, found: Evaluation, step: NDArray) -> _StepOutcome:
@@ -144,7 +148,8 @@ def _compare(here: Evaluation, found: Evaluation, step: NDArray) -> _StepOutcome
     gained = 0.5 * (found.r @ found.r - square)
     accepted = bool(gained <= _POOR * predicted)
     good = gained < _GOOD * predicted and predicted < 0
-    return _StepOutcome(accepted, (_FURTHER if good else 1.0) if accepted else _SHORTER)
+    factor = (_FURTHER if good else 1.0) if accepted else _SHORTER
+    return _StepOutcome(accepted, factor, float(-2.0 * predicted))
 
 
 def _is_arrived(x: NDArray, dx: NDArray, r: NDArray, dr: NDArray) -> bool:

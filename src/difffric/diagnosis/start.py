@@ -52,7 +52,7 @@ _SLIDE_READ = 1e-3
 mu_s scatters counts as scatter, and nothing as noise."""
 _ROUNDS = 20
 """Steps at most of each fit of the plain model."""
-_WORTH, _LEAST_WORTH = 1e-3, 0.01
+_WORTH, _LEAST_WORTH = 1e-2, 0.01
 """The share of a misfit that a step of the plain calibration has to explain, and by how much a step
 has to lower chi-square at least."""
 _SIZES = (0.3, 0.6, 0.85, 1.18, 1.7, 3.0)

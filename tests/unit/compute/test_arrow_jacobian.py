@@ -51,3 +51,13 @@ def test_the_search_takes_the_steps_of_optimistix():
         assert abs(steps - int(theirs.stats["num_steps"])) <= 1
     assert found.r @ found.r < 0.2
     assert search_minimum(evaluate, np.full(3, np.nan), 60)[2] == 1
+
+
+def test_a_step_that_fails_and_promised_no_more_than_it_is_worth_is_the_last():
+    def evaluate(x):  # least where the slope jumps: there every step of the linear model fails
+        r = np.array([3.0 + abs(x[0]), x[1], 0.0])
+        slope = np.full((1, 1, 1), 1.0 if x[0] >= 0 else -1.0)
+        return Evaluation(r, ArrowJacobian(slope, np.zeros((1, 1, 1)), 1.0, np.zeros(1)), None)
+
+    steps = [search_minimum(evaluate, np.zeros(2), 60, worth)[2] for worth in (0.0, 1e3)]
+    assert steps[1] == 2 < steps[0]

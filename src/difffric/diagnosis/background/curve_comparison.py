@@ -127,7 +127,7 @@ def compare_with_curves(
     c[:, :K] = joint.c[0]
     c[:, 0] = joint.mu[0, task.condition] + joint.own[0]
     curves = np.split(_measure_columns(wide, joint), len(FORMS), axis=2)
-    priors = [size**2 * _correlate(length) for length in _LENGTHS for size in _SIZES]
+    priors = np.array([size**2 * _correlate(length) for length in _LENGTHS for size in _SIZES])
     price = float(np.log(len(FORMS))) + _SELDOM
     alone = list(_weigh_curves(evidence, (), curves, priors))
     beside = list(_weigh_curves(evidence, items, curves, priors)) if items else []
@@ -198,19 +198,19 @@ def _weigh_curves(
     evidence: Evidence,
     items: Sequence[PossibleCause],
     curves: Sequence[NDArray],
-    priors: Sequence[NDArray],
+    priors: NDArray,
 ) -> Iterator[_WeighedCurve]:
     """Yield what each of the `curves` explains beside the `items` as causes: k columns (n, R, k),
-    whose sizes are normal about zero with one of the covariances `priors` (k, k)."""
+    whose sizes are normal about zero with one of the covariances `priors` (m, k, k)."""
     states = evidence.list_states(items)
     for rows in curves:
         cross = np.swapaxes(evidence.rows, 1, 2) @ rows
         gram, own = np.swapaxes(rows, 1, 2) @ rows, np.einsum("nr,nrk->nk", evidence.push, rows)
         logs, fits = [], []
         for state, log in states:
-            for gain, coefficients in _fit_curve(evidence, state, cross, gram, own, priors):
-                logs.append(log + 0.5 * gain)
-                fits.append(coefficients)
+            gains, coefficients = _fit_curve(evidence, state, cross, gram, own, priors)
+            logs += list(log + 0.5 * gains)
+            fits += list(coefficients)
         gain = float(sum_logs(logs) - np.log(len(priors)) - evidence.nothing)
         yield _WeighedCurve(gain, fits[int(np.argmax(logs))])
 
@@ -221,11 +221,12 @@ def _fit_curve(
     cross: NDArray,
     gram: NDArray,
     own: NDArray,
-    priors: Sequence[NDArray],
-) -> Iterator[tuple[float, NDArray]]:
-    """Yield, for each prior, by how much -2 log likelihood falls with the columns of a curve and
-    their best coefficients; `cross` (n, p, k), `gram` (n, k, k) and `own` (n, k) are their products
-    with those of the evidence, with each other and with the pushes' own mu_s."""
+    priors: NDArray,
+) -> tuple[NDArray, NDArray]:
+    """Return, for each of the `priors` (m, k, k), by how much -2 log likelihood falls with the
+    columns of a curve (m,) and their best coefficients (m, k); `cross` (n, p, k), `gram` (n, k, k)
+    and `own` (n, k) are their products with those of the evidence, with each other and with the
+    pushes' own mu_s."""
     P, excess = evidence.known, evidence.excess
     weight = state.scatter**2 / (excess + state.scatter**2 * evidence.z)
     X = cross.sum(axis=0) - np.einsum("n,np,nk->pk", weight, evidence.own, own)
@@ -238,10 +239,9 @@ def _fit_curve(
         spread = state.B[:, None] * state.C * state.B
         Y = Y - mixed.T @ spread @ mixed
         q = q - mixed.T @ spread @ state.h
-    for K in priors:
-        S = np.eye(len(q)) + Y @ K
-        solved = np.linalg.solve(S, q)
-        yield float(q @ K @ solved - np.linalg.slogdet(S)[1]), -K @ solved
+    S = np.eye(len(q)) + Y @ priors
+    best = (priors @ np.linalg.solve(S, np.tile(q[:, None], (len(priors), 1, 1))))[:, :, 0]
+    return best @ q - np.linalg.slogdet(S)[1], -best
 
 
 def _correlate(length: float) -> NDArray:

@@ -84,10 +84,19 @@ def fit_curve_for_causes(
     explained = {form: 1.0 - max(beyond, 0.0) * float(task.counts.sum()) / max(excess, 1.0)}
     location = make_location(wide, fits, form, data.scales, explained, drop - price)
     errors = compute_friction_errors(wide, fits, grown=False)
-    if form == _ALONG_THE_WAY:  # where it varies by so much, so much is open what mu_s is
-        errors = np.hypot(errors, np.sqrt(np.mean(location.correction**2)))
+    errors = np.hypot(errors, _measure_open(form, location.correction, beyond))
     friction = find_friction(wide, fits, grown=False), errors
     return CurveFit(location, friction, 1.0 - beyond / (left - 1.0))
+
+
+def _measure_open(form: str, correction: NDArray, beyond: float) -> float:
+    """How far, relatively, mu_s is open beside a curve with this `correction` by what no error of a
+    fit tells; `beyond` is what that leaves beyond the noise, per number."""
+    if 1.0 + beyond > ARRIVED:  # elsewhere it may be as far off as the curve is large
+        return float(np.abs(correction).max())
+    if form == _ALONG_THE_WAY:  # where it varies by so much, so much is open what mu_s is
+        return float(np.sqrt(np.mean(correction**2)))
+    return 0.0
 
 
 def _assume_beside_forms(data: DiagnosisData, small: SmallEffects, share: float) -> EnsembleTask:
