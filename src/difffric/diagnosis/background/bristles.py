@@ -16,6 +16,7 @@ from difffric.diagnosis.background.joint_fit import WIDE, follow_leaders, measur
 from difffric.diagnosis.background.joint_search import MOST_EXCESS, JointSearch
 from difffric.diagnosis.background.search import BackgroundSearch, search_from
 from difffric.diagnosis.background.shape_grid import leave_out
+from difffric.diagnosis.background.size_scan import CUTTING
 from difffric.diagnosis.data import choose_subset, move_unseen
 from difffric.diagnosis.lack_of_fit import is_misfit_large
 from difffric.diagnosis.starting_values import list_starting_values
@@ -56,10 +57,10 @@ def search_beside_bristles(before: BackgroundSearch, plain: Fits) -> BackgroundS
     better than what the search `before` ended with, and leave no large misfit; `plain` is the plain
     fit (an ensemble of one)."""
     data, small = before.data, before.small
-    joint = _fit_bristles(before, plain)
-    if joint is None:
+    fitted = _fit_bristles(before, plain)
+    if fitted is None:
         return None
-    shaped = tuple(effect for effect in before.shaped if effect not in LIKE_BRISTLES)
+    joint, shaped = fitted
     index = list(data.task.model.coordinates.indices(numbers_of(PRESLIDING)))
     kept = [*data.task.shared, *index]
     c = plain.c.copy()
@@ -68,55 +69,72 @@ def search_beside_bristles(before: BackgroundSearch, plain: Fits) -> BackgroundS
     start = ensemble.evaluate(data.task, replace(start, damping=None))
     search = JointSearch(data, before.effects, True, small, start, joint, shaped)
     found = search_from(search)
-    task = small.assume(data.task, WIDE)
-    value = ensemble.criterion(task, ensemble.join(before.joint, found.joint))
     more = len(found.joint.extra[0]) - len(before.joint.extra[0])
-    if value[0] - value[1] <= task.price * max(more, len(index)):
+    if _rate(before) - _rate(found) <= data.task.price * max(more, len(index)):
         return None
     return None if is_misfit_large(data.task, found.joint) else found
 
 
-def _fit_bristles(before: BackgroundSearch, plain: Fits) -> Fits | None:
-    """Return the joint fit with bristles, and without what they are taken for; None where they
-    leave far more than the joint fit did without them."""
+def _rate(found: BackgroundSearch) -> float:
+    """-2 log likelihood where a search ended: its causes have any size, the other small effects
+    hardly hold it back."""
+    causes = {item.columns[0] for item in found.best.items if item.shape is None}
+    free = {found.small.index[k] for k in causes}
+    task = found.small.assume(found.data.task, WIDE, free)
+    return float(ensemble.criterion(task, found.joint)[0])
+
+
+def _fit_bristles(before: BackgroundSearch, plain: Fits) -> tuple[Fits, tuple[str, ...]] | None:
+    """Return the joint fit with bristles, and without what they are taken for, and the effects
+    whose shapes are in it; None where they leave far more than the joint fit did without them."""
     data = before.data
     task, some = before.small.assume(data.task, WIDE), choose_subset(data.task)
     left = measure_left(data.task, before.joint)
-    starts = _list_starts(task, before, plain)
+    starts, shaped = _list_starts(task, before, plain)
     fits = ensemble_refits.settle_narrowly(task, starts, some)
     for _ in range(_SCANS):
         again = _recentre(friction_scan.rescan_bad_pushes(task, fits, some), some)
         fits = ensemble_refits.settle_narrowly(task, again, some)
     cost = ensemble.sum_squares(task, fits, some)
-    fits = move_unseen(task, fits, starts, some).pick(np.argsort(cost)[:_TRIED])
+    tried = np.argsort(cost)[:_TRIED]
+    fits = move_unseen(task, fits, starts, some).pick(tried)
     fits = replace(fits, gram=None, residual=None, damping=None)
     nearer = ensemble_refits.refit(task, fits, _FIRST_ROUNDS, some)
     noise = task.counts[some].sum()
     if ensemble.sum_squares(task, nearer, some).min() > _HOPELESS * left * noise:
         return None
-    found, _ = follow_leaders(task, move_unseen(task, nearer, fits, some))
-    return found if measure_left(data.task, found) < min(_POOR * left, _MOST) else None
+    found, which = follow_leaders(task, move_unseen(task, nearer, fits, some))
+    if measure_left(data.task, found) >= min(_POOR * left, _MOST):
+        return None
+    return found, shaped[tried[which]]
 
 
-def _list_starts(task: EnsembleTask, before: BackgroundSearch, plain: Fits) -> Fits:
-    """List fits with bristles of each stiffness: in the joint fit without what they are taken for,
-    and with all small effects at their nulls where the plain fit stands."""
+def _list_starts(
+    task: EnsembleTask, before: BackgroundSearch, plain: Fits
+) -> tuple[Fits, list[tuple[str, ...]]]:
+    """List fits with bristles of each stiffness, and the effects whose shapes are in each: in the
+    joint fit without what they are taken for, and where the plain fit stands, with no shape but
+    those that cut pushes short and all small effects at their nulls: the others may have made up
+    for what was taken for bristles."""
     data, coordinates = before.data, task.model.coordinates
-    like = {effect for effect in before.shaped if effect in LIKE_BRISTLES}
-    joint = leave_out(task, before.joint, like)
+    joint = leave_out(task, before.joint, {*before.shaped} & {*LIKE_BRISTLES})
     null = before.small.free(plain)
-    index = coordinates.indices([n for x in before.shaped if x not in like for n in numbers_of(x)])
+    cutting = tuple(effect for effect in before.shaped if effect in CUTTING)
+    index = coordinates.indices([n for x in cutting for n in numbers_of(x)])
     c = null.c.copy()
     c[0, index] = joint.c[0, index]
-    bases = (joint, replace(null, c=c, extra=joint.extra))
-    own, starts = coordinates.indices(numbers_of(PRESLIDING)), []
-    for base in bases:
+    extra = (*null.extra[0], *(i for i in index if i not in null.extra[0]))
+    bases = (joint, replace(null, c=c, extra=(extra,)))
+    kept = tuple(effect for effect in before.shaped if effect not in LIKE_BRISTLES)
+    own, starts, shaped = coordinates.indices(numbers_of(PRESLIDING)), [], []
+    for base, effects in zip(bases, (kept, cutting), strict=True):
         for values in list_starting_values(PRESLIDING, data.scales):
             c = base.c.copy()
             c[0, own] = coordinates.point(values)
             extra = ((*base.extra[0], *own),)
             starts.append(replace(base, c=c, extra=extra, gram=None, residual=None, damping=None))
-    return ensemble.join(*starts)
+            shaped.append(effects)
+    return ensemble.join(*starts), shaped
 
 
 def _recentre(fits: Fits, some: np.ndarray) -> Fits:
