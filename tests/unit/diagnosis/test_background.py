@@ -177,11 +177,9 @@ def make_shapes(seed: int, number: int) -> ShapeColumns:
     )
 
 
-@given(st.integers(0, 10**6), st.sampled_from([0, 2, 4]), st.sampled_from([1, 3, 5]))
-def test_shapes_are_found_beside_small_effects(seed, patch, wave):
-    """One of each effect is found, of its true size, and none that is not there."""
-    shapes = make_shapes(seed, 6)
-    sizes = {patch: 0.5, wave: -0.3}
+def weigh_shapes(shapes: ShapeColumns, sizes: dict[int, float], seed: int) -> Evidence:
+    """The comparison where small effects are fitted, of data with shapes of some sizes, by their
+    numbers."""
     task, slopes, measured = draw(cause=0.0, background=0.05, seed=seed)
     measured = measured - sum(a * shapes.rows[:, :, k] for k, a in sizes.items())
     task = make_task(slopes, measured, ("k", *NAMES), shared=(1,))
@@ -190,10 +188,31 @@ def test_shapes_are_found_beside_small_effects(seed, patch, wave):
         EFFECTS, tuple(range(2, K)), 0.3 * ones, 5 * ones, np.zeros(K), np.zeros(K)
     )
     at = ensemble.evaluate(task, small.free(start(task, 0.3)))
-    found = pursue_shapes(Evidence(task, at, small, shapes), 3)
+    return Evidence(task, at, small, shapes)
+
+
+@given(st.integers(0, 10**6), st.sampled_from([0, 2, 4]), st.sampled_from([1, 3, 5]))
+def test_shapes_are_found_beside_small_effects(seed, patch, wave):
+    """One of each effect is found, of its true size, and none that is not there."""
+    sizes = {patch: 0.5, wave: -0.3}
+    found = pursue_shapes(weigh_shapes(make_shapes(seed, 6), sizes, seed), 3)
     chosen = [item.columns[0] - len(NAMES) for item in found.items]
     assert set(chosen) == {patch, wave}
     assert found.sizes == pytest.approx([sizes[k] for k in chosen], abs=0.1)
+
+
+@given(st.integers(0, 10**6))
+def test_two_shapes_are_found_together_that_look_like_a_third_one(seed):
+    """One of the first effect does nearly what two do together, of which one is its like."""
+    shapes = make_shapes(seed, 6)
+    rows = shapes.rows.copy()
+    rows[:, :, 2] = rows[:, :, 0] + rows[:, :, 1] + 0.3 * rows[:, :, 2]
+    evidence = weigh_shapes(replace(shapes, rows=rows), {0: 0.5, 1: 0.5}, seed)
+    first, both = (
+        {item.columns[0] - len(NAMES) for item in pursue_shapes(evidence, most).items}
+        for most in (1, 2)
+    )
+    assert first == {2} and both == {0, 1}
 
 
 def test_nearby_shapes_lie_between_the_neighbours_on_the_grid():

@@ -8,6 +8,8 @@ dictionaries, IEEE Trans. Signal Process. 41, 1993, with all sizes found anew at
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +25,9 @@ from difffric.diagnosis.background.evidence import Evidence, PossibleCause
 
 _RIDGE = 1e-9
 """What is added to the diagonal of the information, as a share of it."""
+_BEAM = 40
+"""Sequences of shapes that are followed: a ripple and a waviness may look like two others while one
+of them stands alone."""
 
 
 class PursuedShapes(NamedTuple):
@@ -46,40 +51,110 @@ def choose_best_shapes(evidence: Evidence, of_each: int) -> list[CauseSet]:
 def pursue_shapes(evidence: Evidence, most: int) -> PursuedShapes:
     """Return at most so many shapes, of effects that are not placed yet, whose drops of chi-square
     are above their prices and whose sizes make sense."""
-    M, h, first = evidence.project_out_small()
-    # Two that do the same share what they do.
-    M = M + _RIDGE * np.diag(np.maximum(np.diag(M), 1e-12))
-    there_already = {item.effect for item in evidence.list_placed()}
+    placed = evidence.list_placed()
+    there_already = {item.effect for item in placed}
     shaped = [x for x in evidence.items if x.shape and x.effect not in there_already]
-    placed = [c - first for item in evidence.list_placed() for c in item.columns]
-    chosen: list[PossibleCause] = []
+    equations = _Equations.collect(evidence, placed, shaped)
+    best, beam = _Sequence((), 0.0), [_Sequence((), 0.0)]
     for _ in range(most):
-        there = placed + [c - first for item in chosen for c in item.columns]
-        best: tuple[float, PossibleCause] | None = None
-        for item in shaped:
-            if any(item.effect == other.effect for other in chosen):
-                continue
-            mine = [c - first for c in item.columns]
-            gain, size = _add(M, h, there, mine)
-            if gain > 2 * compute_price(evidence, [item]) and makes_sense(evidence, [item], size):
-                best = max(best, (gain, item), key=lambda x: x[0]) if best else (gain, item)
-        if best is None:
-            break
-        chosen.append(best[1])
-    there = placed + [c - first for item in chosen for c in item.columns]
-    sizes = -np.linalg.solve(M[np.ix_(there, there)], h[there]) if there else np.zeros(0)
-    return PursuedShapes(tuple(chosen), tuple(sizes[len(placed) :].tolist()))
+        grown: dict[frozenset[int], _Sequence] = {}
+        for some in beam:
+            taken = {shaped[k].effect for k in some.chosen}
+            gains, sizes = equations.add_each(some.chosen)
+            for k in np.flatnonzero(gains > 0):
+                one = shaped[k]
+                if one.effect not in taken and makes_sense(evidence, [one], sizes[k]):
+                    worth = some.worth + float(gains[k]) - equations.prices[k]
+                    chosen = (*some.chosen, int(k))
+                    grown[frozenset(chosen)] = _Sequence(chosen, worth)
+        beam = sorted(grown.values(), key=lambda one: -one.worth)[:_BEAM]
+        sound = (one for one in beam if _is_sound(evidence, equations, shaped, one.chosen))
+        best = max(best, next(sound, best), key=lambda one: one.worth)
+    items = tuple(shaped[k] for k in best.chosen)
+    return PursuedShapes(items, tuple(equations.find_sizes(best.chosen).tolist()))
 
 
-def _add(M: NDArray, h: NDArray, there: list[int], mine: list[int]) -> tuple[float, NDArray]:
-    """The drop of chi-square by the columns `mine` beside those that are `there`, and their
-    sizes."""
-    A, q = M[np.ix_(mine, mine)], h[mine]
-    if there:
-        cross = np.linalg.solve(M[np.ix_(there, there)], M[np.ix_(there, mine)])
-        A, q = A - M[np.ix_(mine, there)] @ cross, q - h[there] @ cross
-    floor = 2 * _RIDGE * np.diag(M[np.ix_(mine, mine)])  # what the others do as well is nothing
-    if (np.diag(A) <= floor).any():
-        return 0.0, np.zeros(len(mine))
-    size = -np.linalg.solve(A, q)
-    return float(-size @ q), size
+class _Sequence(NamedTuple):
+    """Shapes that were chosen one beside the other."""
+
+    chosen: tuple[int, ...]
+    """their numbers"""
+    worth: float
+    """their drop of chi-square beyond their prices"""
+
+
+@dataclass(frozen=True)
+class _Equations:
+    """The normal equations of columns of shapes, with all else eliminated."""
+
+    M: NDArray
+    """(C + 1, C + 1) information; the last column changes nothing"""
+    h: NDArray
+    """(C + 1,) products with the residuals"""
+    placed: list[int]
+    """columns of shapes that are in the model"""
+    columns: NDArray
+    """(m, 2) those of each shape that may be added; where it has one, the second is the last"""
+    prices: NDArray
+    """(m,) what each must lower chi-square by"""
+
+    @classmethod
+    def collect(
+        cls, evidence: Evidence, placed: Sequence[PossibleCause], shaped: Sequence[PossibleCause]
+    ) -> _Equations:
+        """The equations where a comparison stands, of shapes that are `placed` and that may be."""
+        M, h, first = evidence.project_out_small()
+        # Two that do the same share what they do.
+        M = M + _RIDGE * np.diag(np.maximum(np.diag(M), 1e-12))
+        C = len(h)
+        padded = np.eye(C + 1)
+        padded[:C, :C] = M
+        of_each = [[c - first for c in item.columns] for item in shaped]
+        columns = np.array([[*own, C][:2] for own in of_each], int).reshape(-1, 2)
+        prices = np.array([2 * compute_price(evidence, [item]) for item in shaped])
+        there = [c - first for item in placed for c in item.columns]
+        return cls(padded, np.append(h, 0.0), there, columns, prices)
+
+    def add_each(self, chosen: Sequence[int]) -> tuple[NDArray, NDArray]:
+        """The drop of chi-square (m,) by each shape beside those that were chosen, and its sizes
+        (m, 2)."""
+        there = self._list_columns(chosen)
+        M, h = self.M, self.h
+        cross = np.linalg.solve(M[np.ix_(there, there)], M[there]) if there else M[:0]
+        block = M[self.columns[:, :, None], self.columns[:, None, :]]
+        floor = 2 * _RIDGE * np.einsum("mii->mi", block)
+        block = block - np.einsum("tma,tmb->mab", M[there][:, self.columns], cross[:, self.columns])
+        q = h[self.columns] - np.einsum("t,tma->ma", h[there], cross[:, self.columns])
+        # What the others do as well is nothing.
+        new = (np.einsum("mii->mi", block) > floor).all(axis=1)
+        block[~new] = np.eye(2)
+        size = -np.linalg.solve(block, q[:, :, None])[:, :, 0]
+        return np.where(new, -np.einsum("ma,ma->m", size, q), 0.0), size
+
+    def find_sizes(self, chosen: Sequence[int]) -> NDArray:
+        """The sizes (k,) of the columns of the shapes that were chosen, one after the other."""
+        there = self._list_columns(chosen)
+        if not there:
+            return np.zeros(0)
+        return -np.linalg.solve(self.M[np.ix_(there, there)], self.h[there])[len(self.placed) :]
+
+    def _list_columns(self, chosen: Sequence[int]) -> list[int]:
+        """The columns of the shapes that are in the model and of those that were chosen."""
+        last = len(self.h) - 1
+        return [*self.placed, *(int(c) for k in chosen for c in self.columns[k] if c != last)]
+
+
+def _is_sound(
+    evidence: Evidence,
+    equations: _Equations,
+    shaped: Sequence[PossibleCause],
+    chosen: Sequence[int],
+) -> bool:
+    """Whether each shape of a sequence explains more than its price beside the others, and all
+    sizes make sense."""
+    for k in chosen:
+        gains, _ = equations.add_each([other for other in chosen if other != k])
+        if gains[k] <= equations.prices[k]:
+            return False
+    items = [shaped[k] for k in chosen]
+    return makes_sense(evidence, items, equations.find_sizes(chosen))
