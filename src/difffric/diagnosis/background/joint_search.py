@@ -293,7 +293,7 @@ class JointSearch:
 
     def place_shapes_anew(self, evidence: Evidence) -> bool:
         """Place all small shapes anew: one may stand at a wrong place. Whether that is better."""
-        small = evidence.list_small_shapes(_SMALL)
+        small = [x for x in evidence.list_small_shapes(_SMALL) if x not in CUTTING]
         if not small:
             return False
         bare, shaped = self._take_out(small)
