@@ -1,9 +1,10 @@
-"""Which shapes, one of each effect, explain best what small effects leave: one after the other.
+"""Which shapes, one of each effect, explain best what small effects leave.
 
 The small effects scatter about their nulls, and the plain parameters are free; what is left is
-explained by the shape that takes up most of it, beside those that are placed already, then by the
-next beside it, of another effect (Mallat and Zhang, Matching pursuits with time-frequency
-dictionaries, IEEE Trans. Signal Process. 41, 1993, with all sizes found anew at each step).
+explained by a shape beside those that are placed already, then by the next beside it, of another
+effect, with all sizes found anew at each step (Mallat and Zhang, Matching pursuits with
+time-frequency dictionaries, IEEE Trans. Signal Process. 41, 1993). Not only the best sequence of
+shapes is followed, as two together may look like a third one while one of them stands alone.
 """
 
 from __future__ import annotations
@@ -26,8 +27,7 @@ from difffric.diagnosis.background.evidence import Evidence, PossibleCause
 _RIDGE = 1e-9
 """What is added to the diagonal of the information, as a share of it."""
 _BEAM = 40
-"""Sequences of shapes that are followed: a ripple and a waviness may look like two others while one
-of them stands alone."""
+"""Sequences of shapes that are followed, the best ones of as many shapes."""
 
 
 class PursuedShapes(NamedTuple):
@@ -49,8 +49,8 @@ def choose_best_shapes(evidence: Evidence, of_each: int) -> list[CauseSet]:
 
 
 def pursue_shapes(evidence: Evidence, most: int) -> PursuedShapes:
-    """Return at most so many shapes, of effects that are not placed yet, whose drops of chi-square
-    are above their prices and whose sizes make sense."""
+    """Return at most so many shapes, of effects that are not placed yet, each of which explains more
+    than its price beside the others, and whose sizes make sense."""
     placed = evidence.list_placed()
     there_already = {item.effect for item in placed}
     shaped = [x for x in evidence.items if x.shape and x.effect not in there_already]
