@@ -49,8 +49,8 @@ def choose_best_shapes(evidence: Evidence, of_each: int) -> list[CauseSet]:
 
 
 def pursue_shapes(evidence: Evidence, most: int) -> PursuedShapes:
-    """Return at most so many shapes, of effects that are not placed yet, each of which explains more
-    than its price beside the others, and whose sizes make sense."""
+    """Return at most so many shapes, of effects that are not placed yet, each of which explains
+    more than its price beside the others, and whose sizes make sense."""
     placed = evidence.list_placed()
     there_already = {item.effect for item in placed}
     shaped = [x for x in evidence.items if x.shape and x.effect not in there_already]
