@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from difffric.diagnosis.background import joint_search
+from difffric.diagnosis.background import bristles, joint_search
 from difffric.diagnosis.background import search as background_search
 from difffric.diagnosis.background.cause_sets import find_set
 from difffric.diagnosis.background.joint_fit import WIDE, measure_left
@@ -165,6 +165,31 @@ def test_changes_that_hardly_help_far_off_give_way_to_a_new_beginning(
     search.arrive()
     assert called.count("place_shapes") == turns
     assert ("begin_with_one" in called) == anew
+
+
+def test_no_cause_is_held_back_where_two_searches_are_compared():
+    """A tilt of 15 times its unit costs 25 of chi-square where it scatters by 3 of them: as a cause
+    it costs next to nothing."""
+    search = make_joint(0, tilt=1.5, gain=0.0, unseen=0.0)
+    tilted = end_with(search, "tilt", {TILT: 1.5})
+    none = replace(tilted, sets=(find_set(tilted.evidence, ()),))
+    assert bristles._rate(none) - bristles._rate(tilted) == pytest.approx(25.0, abs=0.5)
+
+
+def test_what_cuts_pushes_short_is_never_taken_out_to_place_shapes_anew(monkeypatch):
+    search, taken = make_joint(0, tilt=0.0, gain=0.0, unseen=0.0), []
+
+    def take_out(effects):
+        taken.extend(effects)
+        return search.joint, ()
+
+    monkeypatch.setattr(search, "_take_out", take_out)
+    monkeypatch.setattr(search, "_place_beside", lambda *at: None)
+    monkeypatch.setattr(search.grid, "weigh", lambda *at: None)
+    small = ["pusher_duration", "friction_patch"]
+    evidence: Any = SimpleNamespace(list_small_shapes=lambda least: small)
+    assert not search.place_shapes_anew(evidence)
+    assert taken == ["friction_patch"]
 
 
 def test_pushes_that_a_fit_did_not_see_move_as_those_did_that_it_saw():
