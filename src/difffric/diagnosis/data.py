@@ -13,17 +13,11 @@ from difffric.compute.pytrees import pick
 from difffric.estimation.block_means import stack_uneven
 from difffric.estimation.effect_coordinates import PLAIN, Coordinates
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
-from difffric.estimation.extended_model import (
-    PRESLIDING,
-    RECORDINGS,
-    SLIDES,
-    TABLE,
-    ExtendedModel,
-    StackedPushes,
-)
+from difffric.estimation.extended_model import PRESLIDING, ExtendedModel
+from difffric.estimation.following.answer_by_program import StackedPushes
 from difffric.estimation.following.answer_in_columns import list_served
 from difffric.estimation.following.motion_errors import blind_blocks
-from difffric.estimation.stacked_data import find_strokes
+from difffric.estimation.stacked_data import RECORDINGS, SLIDES, TABLE, find_strokes
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.reduction.reduce import Reduction
 from difffric.rig import parameters

@@ -18,7 +18,7 @@ from difffric.diagnosis.data import DiagnosisData
 from difffric.estimation.block_means import UnevenBlocks, make_uneven, pad_uneven
 from difffric.estimation.ensembles import ensemble
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
-from difffric.estimation.extended_model import StackedPushes
+from difffric.estimation.following.answer_by_program import StackedPushes
 from difffric.measurements.recordings import Channel
 from difffric.units import to_mm, to_mm_min
 

@@ -14,6 +14,7 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from difffric.compute.smooth_extension import extend_odd
+from difffric.compute.xla_options import hold
 from difffric.rig.force_balance import accelerate
 from difffric.rig.rig import Rig
 from difffric.simulation.events import Event, Mode
@@ -84,7 +85,7 @@ class Motion(NamedTuple):
         pusher = self.rig.pusher
         fall = pusher.fall(jnp.where(course.stopped, s.t - course.t_stop, 0.0), course.V_stop)
         V = jnp.where(course.stopped, fall, pusher.rise(s.t, self.v, course.corners))
-        return V, V * pusher.ripple(s.y)
+        return hold((V, V * pusher.ripple(s.y)))
 
     def position(self, s: PhasePoint) -> Float[Array, ""]:
         """x, the part's position [m]."""
@@ -92,7 +93,7 @@ class Motion(NamedTuple):
 
     def load(self, course: Course, s: PhasePoint) -> Float[Array, ""] | float:
         """Normal force at the part's place [N]."""
-        return self.rig.load(self.position(s), course.beyond)
+        return hold(self.rig.load(self.position(s), course.beyond))
 
     def deflection(self, course: Course, s: PhasePoint) -> Float[Array, ""]:
         """The bristles' deflection [m]. Where they slip it follows the load: how they come to slip
@@ -124,7 +125,7 @@ class Motion(NamedTuple):
         mode = course.mode
         rebounds = (mode == Mode.REBOUNDING) | ((mode == Mode.STUCK) & (w < 0))
         pushed = jnp.where(rebounds, self.rebound(s.z, w), self.approach(s.z, w))
-        return jnp.where(course.touching, pushed, 0.0)
+        return hold(jnp.where(course.touching, pushed, 0.0))
 
     def rates(self, course: Course, s: PhasePoint) -> PhasePoint:
         """Equation (2): the state's rate of change in the course's mode."""
@@ -140,7 +141,7 @@ class Motion(NamedTuple):
             drag, dq = friction.sliding(s.u, load), None
         else:
             drag, dq = extend_odd(lambda u: friction.sliding(u, load), s.u), None
-        a = accelerate(self.force(course, s), drag, rig.slope, rig.mass)
+        a = accelerate(self.force(course, s), hold(drag), rig.slope, rig.mass)
         return PhasePoint(jnp.ones_like(s.t), dy - s.u, jnp.where(held, 0.0, a), dy, dq)
 
     def guards(

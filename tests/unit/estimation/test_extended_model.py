@@ -8,8 +8,8 @@ import numpy as np
 
 import difffric as df
 from difffric.diagnosis.data import prepare_data
-from difffric.estimation import extended_model
 from difffric.estimation.block_means import UnevenBlocks
+from difffric.estimation.following import answer_by_program
 from difffric.measurements.pushes import Pushes
 
 
@@ -41,7 +41,7 @@ class _Line(NamedTuple):
 
 
 def test_instants_that_no_block_asks_for_are_not_read():
-    chunk = extended_model.CHUNK
+    chunk = answer_by_program.CHUNK
     e, used = 4 * chunk, chunk + 3
     t = np.linspace(1.0, 2.0, e)
     none = np.zeros(5)
@@ -50,7 +50,7 @@ def test_instants_that_no_block_asks_for_are_not_read():
     two = jax.tree.map(lambda x: np.stack([x, x]), blocks)
 
     def read(slope):
-        return extended_model._read_in_chunks(_Line(slope), two, two)
+        return answer_by_program._read_in_chunks(_Line(slope), two, two)
 
     slope = jnp.array([1.0, -3.0])
     (f, x), (df_, _) = jax.jvp(read, (slope,), (jnp.ones(2),))

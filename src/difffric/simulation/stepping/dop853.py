@@ -16,6 +16,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Float
 from numpy.typing import NDArray
 
+from difffric.compute.xla_options import hold
 from difffric.simulation.dynamics import PhasePoint
 from difffric.simulation.stepping.dop853_tableau import ERRORS_3, ERRORS_5, STAGES, WEIGHTS
 
@@ -37,7 +38,7 @@ def take_step(
         return jax.tree.map(total, *rates)
 
     for row in STAGES:
-        rates.append(f(s.after(h, weigh(row, rates))))
+        rates.append(hold(f(hold(s.after(h, weigh(row, rates))))))
     end = s.after(h, weigh(WEIGHTS, rates))._replace(t=s.t + h)
     firm = jax.tree.map(stop_gradient, rates)
     fifth, third = (_list_numbers(weigh(e, firm)) for e in (ERRORS_5, ERRORS_3))
@@ -96,7 +97,7 @@ def take_step_in_loop(
     def stage(carry, row):
         sums, total = carry
         p = PhasePoint(s.t + row[0] * h, *(x + h * a for x, a in zip(begin, sums[0], strict=True)))
-        return add(row[1:], sums, total, _list_numbers(f(p))), None
+        return add(row[1:], sums, total, _list_numbers(hold(f(hold(p))))), None
 
     rows = jnp.asarray(_ROWS[1:])
     (_, (move, fifth, third)), _ = jax.lax.scan(stage, (sums, total), rows)

@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from difffric.compute import hermite
 from difffric.compute.pytrees import select
+from difffric.compute.xla_options import hold
 from difffric.simulation.events import Event
 
 _LOOKS = (0.25, 0.5, 0.75)  # of a step: where its inside is looked at for a dip between its ends
@@ -113,8 +114,9 @@ def find_crossing(
     miss_aim = jnp.full_like(h, jnp.inf)
     end = zero, zero + 1.0, zero
     curve = (zero + 1.0, zero, zero, zero, zero)
-    for code, guard in guards.items():
-        where = guard.find_fall()
+    for code, each in guards.items():
+        guard = hold(each)
+        where = hold(guard.find_fall())
         if code in _DEAF:
             where = jnp.where(steady, 2.0, where)
         e, f = stop_gradient((guard.end[0], guard.end[1] * h))
@@ -126,6 +128,7 @@ def find_crossing(
         first = jnp.where(earlier, where, first)
         event = jnp.where(earlier, code, event)
         end, curve = select(earlier, (guard.end, guard.curve), (end, curve))
+    first, event, miss_aim, end, curve = hold((first, event, miss_aim, end, curve))
     at_end = (aim == event) & (miss_aim < near)
     share = jnp.where(at_end, 1.0, hermite.find_root(curve, first))
     return GuardCrossing(event, share, first <= 1.0, end)

@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float
 
 from difffric.compute import hermite
 from difffric.compute.pytrees import select
-from difffric.compute.xla_options import in_one_piece
+from difffric.compute.xla_options import hold, in_one_piece
 from difffric.simulation.dynamics import Course, Motion, PhasePoint
 from difffric.simulation.events import Event, Mode
 from difffric.simulation.stepping.dense_output import Stride
@@ -192,14 +192,14 @@ class StepLoop(NamedTuple):
         def field(p):
             return self.motion.rates(c, p)
 
-        begin = self._look_at_start(m, field(m.s))
-        plan = plan_step(self.rules, m, begin, self.tol)
+        begin = hold(self._look_at_start(m, field(m.s)))
+        plan = hold(plan_step(self.rules, m, begin, self.tol))
         take = take_step_in_loop if self.looped else take_step
-        y, errors = take(field, m.s, begin.rate, plan.h)
-        end = self._look_at_end(c, y, field)
+        y, errors = hold(take(field, m.s, begin.rate, plan.h))
+        end = hold(self._look_at_end(c, y, field))
         steady = self._is_steady(c, begin)
-        outcome = self._judge_step(m, plan, begin, end, errors, steady)
-        done = self._accept(m, plan, begin, end, outcome)
+        outcome = hold(self._judge_step(m, plan, begin, end, errors, steady))
+        done = hold(self._accept(m, plan, begin, end, outcome))
         stride = None
         if self.senses or record:
             stride = self._record(m, begin, end, plan.h, outcome.dt)

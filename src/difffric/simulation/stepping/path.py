@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from difffric.compute.pytrees import select
-from difffric.compute.xla_options import in_one_piece
+from difffric.compute.xla_options import hold, in_one_piece
 from difffric.rig.rig import Rig
 from difffric.simulation.dynamics import Motion
 from difffric.simulation.stepping.dense_output import Stride
@@ -40,7 +40,7 @@ class PushPath(NamedTuple):
     def _find(self, time: Array) -> tuple[Stride, Array, Array, Array]:
         """(stride, its index, share of it, whether it is past the last one) at a time [s]."""
         i = jnp.searchsorted(self.strides.t, time, side="right") - 1
-        i = jnp.clip(i, 0, self.strides.t.shape[0] - 1)
+        i = hold(jnp.clip(i, 0, self.strides.t.shape[0] - 1))
         stride = jax.tree.map(lambda column: column[i], self.strides)
         share = (time - stride.t) / stride.h
         over = time >= self.end.s.t

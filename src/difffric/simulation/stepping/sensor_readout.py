@@ -127,7 +127,8 @@ class PassedForce(NamedTuple):
             total = total * share + self.powers[n]
         sharp = jnp.isinf(self.ratios)
         fades = jnp.exp(-jnp.where(sharp, 1.0, self.ratios) * share)
-        return total + jnp.sum(jnp.where(sharp, 0.0, self.rests * fades))
+        low, high = jnp.where(sharp, 0.0, self.rests * fades)
+        return total + low + high
 
 
 class Filters(NamedTuple):
