@@ -30,7 +30,8 @@ _SOON: dict[str, Any] = {
 """XLA's newer code generator for fused loops takes most of the time that a large program needs
 to compile, and 0.5 GB. LLVM's third level took 118 s for a program of long functions (a table's
 pushes without derivatives), and the first takes 15 s; what either makes runs within a tenth as
-fast."""
+fast. Vectors of 512 bits, which XLA does not use unasked, make a step of many pushes a fifth
+faster where the processor has them."""
 _QUICKLY: dict[str, Any] = {
     **_SOON,
     "xla_backend_optimization_level": 0,

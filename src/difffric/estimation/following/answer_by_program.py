@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from difffric.compute.xla_options import compile_quickly, compile_soon
+from difffric.compute.xla_options import compile_quickly, compile_soon, in_one_piece
 from difffric.estimation.block_means import UnevenBlocks
 from difffric.estimation.effect_coordinates import Coordinates
 from difffric.estimation.following.push_answer import AnswerRows
@@ -197,7 +197,7 @@ def _read_in_chunks(paths: Any, force: UnevenBlocks, position: UnevenBlocks) -> 
     def turn(carry: Any) -> Any:
         lo, *found = carry
         t = [jax.lax.dynamic_slice_in_dim(b.t, lo, CHUNK, 1) for b in (force, position)]
-        new = jax.vmap(lambda path, *t: path.read(*t))(paths, *t)
+        new = in_one_piece(jax.vmap(lambda path, *t: path.read(*t)))(paths, *t)
         put = jax.lax.dynamic_update_slice_in_dim
         return lo + CHUNK, *(put(a, b, lo, 1) for a, b in zip(found, new, strict=True))
 

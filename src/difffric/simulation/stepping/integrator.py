@@ -13,7 +13,7 @@ from difffric.simulation.stepping.loop import MAX_STEPS, StepLoop
 
 _DEEP = 3
 """Effects around a rig's laws beyond which the stages of a step are looped over: that compiles
-sooner and runs 1.4 times slower (decision 7)."""
+sooner and runs a fifth slower (decision 7)."""
 
 
 class RungeKutta(eqx.Module):
