@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.compute.pytrees import pick
-from difffric.estimation.block_means import stack_uneven
+from difffric.estimation.block_means import UnevenBlocks, stack_uneven
 from difffric.estimation.effect_coordinates import PLAIN, Coordinates
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.estimation.extended_model import PRESLIDING, ExtendedModel
 from difffric.estimation.following.answer_by_program import StackedPushes
 from difffric.estimation.following.answer_in_columns import list_served
 from difffric.estimation.following.motion_errors import blind_blocks
+from difffric.estimation.residuals import set_stroke
 from difffric.estimation.stacked_data import RECORDINGS, SLIDES, TABLE, find_strokes
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.reduction.reduce import Reduction
@@ -24,6 +25,7 @@ from difffric.rig import parameters
 from difffric.rig.catalogue import CATALOGUE, FORCE, PROBE, PUSHER, RATIO, extended, numbers_of
 from difffric.rig.rig import Rig
 from difffric.rig.scales import Scales
+from difffric.simulation.column_traces import find_bends
 from difffric.units import GRAVITY
 
 NOT_IN_RECORDINGS = ("sample_clipping", "release_threshold", "release_latch")
@@ -91,7 +93,7 @@ def prepare_data(
         data = stack_uneven(reduction.recordings, reduction.details, strokes, frequency)
         if measured.motion is not None:
             data = blind_blocks(data, measured.velocity, reduction.recordings, None)
-        counts = np.stack([(blocks.a > 0).sum(axis=1) for blocks in data], axis=1).astype(float)
+        counts = _count_blocks(data)
         open_ = (False, False)
         # A recorded motion is the whole motion: no effect of a pusher stands around it.
         left_out = NOT_IN_RECORDINGS if measured.motion is None else (*NOT_IN_RECORDINGS, *_PUSHERS)
@@ -116,6 +118,35 @@ def prepare_data(
     looked_for = tuple(e for e in (*CATALOGUE, RATIO) if e not in left_out and e not in impossible)
     scales = _estimate_scales(rig, measured, reduction, strokes, mass)
     return DiagnosisData(task, scales, measured, looked_for, impossible, reduction)
+
+
+def place_blocks(data: DiagnosisData, plain: Rig, fits: Fits) -> DiagnosisData:
+    """Return the data of recordings in blocks none of which reaches over a bend of the force of the
+    plain rig with the numbers of `fits` (an ensemble of one): a part that turns lets go of the
+    damper within a contact, which no sample tells.
+
+    The data stay as they are where the plain rig has no closed form, or a motion is recorded."""
+    task, reduction = data.task, data.reduction
+    if reduction is None or data.measured.motion is not None or not plain.affine:
+        return data
+    pushes = task.model.pushes
+    values = task.model.coordinates.values(fits.c[0], PLAIN)
+    given = dict(zip(PLAIN, map(float, values), strict=True))
+    given |= {"mu_s": np.exp(fits.mu[0, task.condition] + fits.own[0]), "mass_kg": pushes.mass}
+    rig = set_stroke(parameters.with_values(plain, given), pushes.stroke)
+    bends = find_bends(rig, pushes.velocity, task.n)
+    frequency = np.sqrt(given["k_N_per_m"] / pushes.mass.min())
+    details = reduction.details
+    blocks = stack_uneven(reduction.recordings, details, pushes.stroke, frequency, bends)
+    if any(new.y.shape != old.y.shape for new, old in zip(blocks, pushes.data, strict=True)):
+        return data  # more than the compiled program has room for
+    model = replace(task.model, pushes=pushes._replace(data=blocks))
+    return replace(data, task=replace(task, model=model, counts=_count_blocks(blocks)))
+
+
+def _count_blocks(blocks: Sequence[UnevenBlocks]) -> NDArray:
+    """How many block means (n, 2) force and position have."""
+    return np.stack([(one.a > 0).sum(axis=1) for one in blocks], axis=1).astype(float)
 
 
 def blind_to_motion(data: DiagnosisData, plain: Rig, fits: Fits) -> DiagnosisData:

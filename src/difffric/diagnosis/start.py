@@ -28,6 +28,7 @@ from difffric.diagnosis.data import (
     follow_in_columns,
     free_plain,
     place_at,
+    place_blocks,
     prepare_data,
 )
 from difffric.diagnosis.exploration import CandidateCause
@@ -139,7 +140,7 @@ def prepare_start(
     if fitted is None:
         tell("fitting the plain rig", 0.1)
         at = start_plain_fit(data, guess)
-        data = blind_to_motion(data, plain, at)
+        data = place_blocks(blind_to_motion(data, plain, at), plain, at)
     else:
         at = place_at(data.task, fitted.rig, fitted.mu_s, fitted.scatter)
         at = _add_known(data.task, at, known)

@@ -43,6 +43,13 @@ LONGEST = 1e-3
 _FASTEST = 0.4
 """Radians of the contact's own oscillation that an uneven block lasts at most: two points then
 give the model's mean over it to 1e-5 of its swing."""
+_ABOUT = 5.5
+"""Samples before and after a bend of the force that are each a block of their own. The mean over a
+bend is not that of two points, and a model's bend is not quite where the measured one is."""
+_BEND_ERROR = 0.02
+"""By how much two points then miss the mean, over the change of slope times the block's length."""
+_UNSEEN = 0.1
+"""Such an error, over the noise of the block's mean, that does not matter."""
 _ROOM = 1024
 """Uneven blocks are padded to this, or to twice, four times as many: nearly all recordings then
 share one shape and one program."""
@@ -196,11 +203,13 @@ def make_uneven(
     rest: float,
     end: float,
     longest: float,
+    bends: Sequence[float] | NDArray = (),
 ) -> UnevenBlocks:
     """One channel in uneven blocks, from shortly before the push to `end` [s].
 
     `events` [s] are where blocks are short, `beside` [s] those beside which samples are left
-    out; from `rest` [s] on nothing moves; `longest` [s] bounds a block until then.
+    out; from `rest` [s] on nothing moves; `longest` [s] bounds a block until then. No block
+    reaches over one of the `bends` [s].
     """
     if channel is None or noise is None:
         none = np.zeros(0)
@@ -212,9 +221,8 @@ def make_uneven(
     for event in beside:
         keep &= np.abs(t - event) > 1.01 * channel.dt
     t, y = t[keep], y[keep]
-    starts = _choose_starts(
-        t, channel.dt, np.sort([x for x in events if np.isfinite(x)]), rest, longest
-    )
+    known = np.sort([x for x in events if np.isfinite(x)])
+    starts = _choose_starts(t, channel.dt, known, rest, longest, np.sort(bends))
     sizes = np.diff(np.append(starts, len(t)))
     means = np.add.reduceat(y, starts) / sizes
     middle = 0.5 * (t[starts] + t[starts + sizes - 1])
@@ -229,7 +237,9 @@ def make_uneven(
     return UnevenBlocks(instants, first, second, means, a, b, np.asarray(float(len(t))))
 
 
-def _choose_starts(t: NDArray, dt: float, events: NDArray, rest: float, longest: float) -> NDArray:
+def _choose_starts(
+    t: NDArray, dt: float, events: NDArray, rest: float, longest: float, bends: NDArray
+) -> NDArray:
     """The indices of the samples at `t` [s] at which uneven blocks begin."""
     starts, i, n = [], 0, len(t)
     most, idle = max(1, int(longest / dt)), max(1, int(5 * LONGEST / dt))
@@ -241,6 +251,9 @@ def _choose_starts(t: NDArray, dt: float, events: NDArray, rest: float, longest:
         still = t[i] > rest or (ahead == 0 and after > 5 * LONGEST)
         cap = idle if still else most
         size = int(min(cap, _GROWTH * before / dt, max(_GROWTH * after / dt, 1.0)))
+        coming = np.searchsorted(bends, t[i] - _ABOUT * dt)
+        if coming < len(bends):
+            size = min(size, int((bends[coming] - t[i]) / dt - _ABOUT))
         size = max(1, size)
         # No block reaches over samples that were left out.
         stop = min(i + size, n)
@@ -274,23 +287,30 @@ def stack_uneven(
     details: Sequence[Reduced],
     strokes: NDArray,
     frequency: float,
+    bends: Sequence[tuple[NDArray, NDArray]] | None = None,
 ) -> tuple[UnevenBlocks, UnevenBlocks]:
     """Force and position of n pushes in uneven blocks, padded and stacked.
 
-    `strokes` (n,) [m]; `frequency` [rad/s] is the contact's own.
+    `strokes` (n,) [m]; `frequency` [rad/s] is the contact's own; `bends` are, for each push, when
+    a model's force bends [s] and by how much [N/s]: no block reaches over what the noise shows.
     """
     longest = min(LONGEST, _FASTEST / frequency)
     rows = []
-    for r, x, stroke in zip(recordings, details, strokes, strict=True):
+    of_each = bends or [(np.zeros(0), np.zeros(0))] * len(recordings)
+    for r, x, stroke, (times, by) in zip(recordings, details, strokes, of_each, strict=True):
         stop = stroke / r.velocity
         beside = [e for e in (0.0, stop, *x.onsets, *x.jumps) if np.isfinite(e)]
-        events = [*beside, x.release_time]
+        events = [*beside, *x.partings, x.release_time]
         rest = x.rest_time if np.isfinite(x.rest_time) else np.inf
         end = _find_end(r, x)
         given = events, beside, rest, end, longest
+        seen = np.zeros(len(times), bool)
+        if r.force is not None and x.noise_force is not None:
+            level = x.noise_force.level / np.sqrt(longest / r.force.dt)
+            seen = _BEND_ERROR * np.abs(by) * longest > _UNSEEN * level
         rows.append(
             (
-                make_uneven(r.force, x.noise_force, *given),
+                make_uneven(r.force, x.noise_force, *given, times[seen]),
                 make_uneven(r.position, x.noise_position, events, (), rest, end, longest),
             )
         )

@@ -21,6 +21,10 @@ from difffric.simulation.observables import Observables, observe_segments
 from difffric.simulation.segment_motion import move_within
 from difffric.simulation.segments import Push, Segment
 
+_CYCLES = 64
+"""Cycles through the modes of a push in which bends are looked for."""
+_BESIDE = 1e-6
+"""So long before and after a segment begins [s], and twice as long, the force is read."""
 _CHUNK = 8192
 """Samples that go together: their some dozens of intermediate columns stay in the second-level
 cache."""
@@ -95,3 +99,15 @@ def follow_columns(rig: Rig, velocity: Any, n: int, cycles: int) -> ColumnTraces
             state = put_lanes(state, going, after, n)
             rows += [put_lanes(rows[-1], going, start, n) for start in starts[1:]]
         return ColumnTraces(push, join_lanes(rows), observe_segments(push, state))
+
+
+def find_bends(rig: Rig, velocity: NDArray, n: int) -> list[tuple[NDArray, NDArray]]:
+    """For each of n pushes at `velocity` [m/s] of an affine rig, when the force's slope may change
+    [s], and by how much [N/s]: a jump of the force has an endless one, about."""
+    traces, found = follow_columns(rig, velocity, n, _CYCLES), []
+    for push, starts in enumerate(traces.starts):
+        t = np.unique(starts[np.isfinite(starts)])
+        near = (t + _BESIDE * np.array([-2.0, -1.0, 1.0, 2.0])[:, None]).ravel()
+        force = traces.read(np.full(len(near), push), near, 0, 0)[0].reshape(4, -1)
+        found.append((t, (force[3] - force[2] - force[1] + force[0]) / _BESIDE))
+    return found

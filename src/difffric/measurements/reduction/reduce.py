@@ -61,6 +61,8 @@ class Reduced:
     """d [m] as a latch at the first loss of contact counts it, where contact is lost again later"""
     onsets: tuple[float, ...] = ()
     """times at which a contact begins, the first included [s]"""
+    partings: tuple[float, ...] = ()
+    """about when each contact but the last ends [s]"""
     jumps: tuple[float, ...] = ()
     """times at which the force jumps inside a contact: the pusher's stop [s]"""
     force_level: float = np.nan
@@ -155,6 +157,7 @@ def _with_force(
         peak_force_se=peak.se,
         peak_time=peak.time,
         onsets=tuple(c.onset for c in contacts),
+        partings=tuple(c.end for c in contacts[:-1]),
         jumps=tuple(t for c in contacts for t in c.jumps),
     )
     if np.isnan(peak.value):
