@@ -232,6 +232,7 @@ def test_what_a_fit_starts_from():
     assert braking == pytest.approx(fast.sliding_distance, rel=0.03)
     assert fast.onsets == pytest.approx((0.0,), abs=1e-4) and fast.jumps == ()
     assert len(slow.onsets) == 2 and slow.jumps == pytest.approx((0.0352,), abs=1e-4)
+    assert fast.partings == () and slow.onsets[0] < slow.partings[0] < slow.onsets[1]
 
 
 def test_zeros_of_the_sensors():
