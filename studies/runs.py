@@ -4,6 +4,7 @@ source, and their figures between two marks of a page."""
 from __future__ import annotations
 
 import argparse
+import ast
 import hashlib
 import json
 import os
@@ -23,6 +24,8 @@ def code(simulator: str, rooms: Sequence[str] | None = None) -> str:
     """Ten digits that stand for the source of the library and of a simulator (of tests).
 
     `rooms` are the packages of the library that count, beside the modules in none; by default all.
+    Only what a program does counts: a comment, a docstring or a line broken elsewhere is no reason
+    to do a study of a day again.
     """
     digest = hashlib.sha256()
     for folder in (ROOT / "src" / "difffric", ROOT / "tests" / simulator):
@@ -31,8 +34,24 @@ def code(simulator: str, rooms: Sequence[str] | None = None) -> str:
             of_library = folder.name == "difffric" and len(inner.parts) > 1
             if rooms is not None and of_library and inner.parts[0] not in rooms:
                 continue
-            digest.update(str(inner).encode() + path.read_bytes())
+            digest.update((str(inner) + strip_words(path.read_text("utf-8"))).encode())
     return digest.hexdigest()[:10]
+
+
+def strip_words(source: str) -> str:
+    """The program without its comments, its docstrings and its line breaks."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            node.body = [one for one in node.body if not _is_docstring(one)]
+    return ast.unparse(tree)
+
+
+def _is_docstring(one: ast.stmt) -> bool:
+    """Whether a statement is a string by itself, as what describes a constant is too."""
+    if not isinstance(one, ast.Expr) or not isinstance(one.value, ast.Constant):
+        return False
+    return isinstance(one.value.value, str)
 
 
 def load(folder: Path, name: str) -> list[dict]:

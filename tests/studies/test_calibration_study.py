@@ -153,3 +153,21 @@ def test_a_law_changed_two_folders_down_is_another_source(tmp_path, monkeypatch)
     changed = runs.code("reference")
     law.rename(law.with_name("contact.py"))
     assert len({before, changed, runs.code("reference")}) == 3
+
+
+def test_words_about_a_law_are_no_other_source(tmp_path, monkeypatch):
+    law = tmp_path / "src" / "difffric" / "rig" / "friction.py"
+    law.parent.mkdir(parents=True)
+    monkeypatch.setattr(runs, "ROOT", tmp_path)
+
+    def code_of(text):
+        law.write_text(text, encoding="utf-8")
+        return runs.code("reference")
+
+    plain = code_of('RATIO = 0.75\n\ndef slide(n):\n    return RATIO * n, "N"\n')
+    worded = code_of(
+        '"""A law."""\nRATIO = 0.75\n"""of mu_k to mu_s"""\n\ndef slide(n):\n'
+        '    """The force."""\n    return (  # of Coulomb\n        RATIO * n, "N"\n    )\n'
+    )
+    assert worded == plain
+    assert code_of('RATIO = 0.75\n\ndef slide(n):\n    return RATIO * n, "kN"\n') != plain
