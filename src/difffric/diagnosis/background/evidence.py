@@ -111,14 +111,16 @@ class Evidence:
         self._shapes, self._background = shapes, background
         self._columns = collect_rows(task, at, small, shapes) if known is None else known
         self.rows, self.push = self._columns
-        self.unit, self.typical = small.unit, small.typical
+        # A cause may be as large as it is: it is no less probable than one that is usual.
+        size = np.abs(at.c[0] - small.null)[list(small.index)]
+        self.unit, self.typical = small.unit, np.maximum(small.typical, size / _LARGEST)
         self.usual = small.unit if small.usual is None else small.usual
         """the sizes at which effects change F_p or d by as much as matters"""
         if shapes is not None:
             parts = [self.rows[..., :-1], shapes.rows, self.rows[..., -1:]]
             self.rows = np.concatenate(parts, axis=2)
             self.unit = np.concatenate([small.unit, shapes.unit])
-            self.typical = np.concatenate([small.typical, shapes.typical])
+            self.typical = np.concatenate([self.typical, shapes.typical])
             self.usual = np.concatenate([self.usual, shapes.unit])
         self.gram = np.swapaxes(self.rows, 1, 2) @ self.rows
         self.own = np.einsum("nr,nrp->np", self.push, self.rows)

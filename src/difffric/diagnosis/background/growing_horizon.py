@@ -1,19 +1,23 @@
 """Fits of recordings from afar: first the samples up to the first contact, at last all of them.
 
 What a push does late depends on all that it did before. Fitted all at once from afar, pushes that
-are caught again and again lead nowhere; the first contact alone is smooth in every parameter.
+are caught again and again lead nowhere; the first contact alone is smooth in every parameter. And
+as long as all pushes have the same mu_s, whatever the fit begins with leads to the same place:
+mu_s of their own make up, wrongly, for what all else has wrong, and then nothing moves any more.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from difffric.diagnosis.background.size_scan import FROM_AFAR, place_cutting_effects
-from difffric.diagnosis.data import DiagnosisData
+from difffric.diagnosis.background.small_effects import SmallEffects
+from difffric.diagnosis.data import DiagnosisData, choose_subset
 from difffric.diagnosis.starting_values import find_contact_time
 from difffric.estimation.block_means import LONGEST, UnevenBlocks
 from difffric.estimation.ensembles import ensemble, ensemble_refits, friction_scan
@@ -33,6 +37,23 @@ _BEYOND = 5 * LONGEST
 """How far beyond a horizon [s] a block reaches at most."""
 _FOLLOWED = 2
 """How many of these starts are followed."""
+_HELD = 1e-3
+"""Relative scatter of mu_s with which pushes have the same."""
+_TOGETHER, _ALL_TOGETHER = 4, 12
+"""Steps at most with the same mu_s, with one effect and with all."""
+_LEADERS, _BEHIND = 3, 4.0
+"""How many effects are followed at most, and how many times as much as the best they may leave."""
+
+
+class JointStart(NamedTuple):
+    """Where a fit with all small effects may go on from, with all samples."""
+
+    at: Fits
+    """the fit (an ensemble of one), without answers"""
+    cutting: tuple[str, ...]
+    """effects in it that cut pushes short"""
+    large: frozenset[int]
+    """coordinates of small effects that are not small in it"""
 
 
 def start_plain_fit(data: DiagnosisData, guess: Fits) -> Fits:
@@ -75,14 +96,15 @@ def _look_for_own(task: EnsembleTask, fits: Fits) -> Fits:
 
 
 def fit_with_growing_horizon(
-    data: DiagnosisData, task: EnsembleTask, at: Fits, effects: Sequence[str]
-) -> tuple[Fits, tuple[str, ...]]:
-    """Return where the fit `at` (an ensemble of one) leads, horizon by horizon, and those of the
-    `effects` that cut pushes short and were found beyond the first ones; `task` is that of the
-    data, with what is assumed besides."""
-    guess, at = at, _begin_anew(at)
-    *first, release = _list_horizons(data)
-    for horizon in first:
+    data: DiagnosisData, small: SmallEffects, guess: Fits, effects: Sequence[str], share: float
+) -> JointStart:
+    """Return where the set-up's own numbers, `guess` (an ensemble of one), lead, horizon by
+    horizon, with all small effects, which scatter by a `share` of their units, but for one that may
+    be large; those of the `effects` that cut pushes short are looked for beyond the first ones."""
+    first, *later, release = _list_horizons(data)
+    at, large = _fit_first_contact(data, small, _begin_anew(guess), first, share)
+    task = small.assume(data.task, share, large)
+    for horizon in later:
         at = ensemble_refits.refit(
             cut_at(task, horizon), forget_answers(at), _AT_EACH_HORIZON, tol=_WORTH
         )
@@ -91,7 +113,53 @@ def fit_with_growing_horizon(
     at = ensemble_refits.refit(
         cut_at(task, release), forget_answers(at), _AT_EACH_HORIZON, tol=_WORTH
     )
-    return _end(task, at, guess), cutting
+    return JointStart(_end(task, at, guess), cutting, large)
+
+
+def _fit_first_contact(
+    data: DiagnosisData, small: SmallEffects, guess: Fits, first: NDArray, share: float
+) -> tuple[Fits, frozenset[int]]:
+    """Return the fit to the samples before the horizon `first` with all small effects, and the
+    coordinate of that one which is large in it, if any."""
+    best, least = (guess, frozenset[int]()), np.inf
+    for start, large in _list_leaders(data, small, guess, first):
+        task = cut_at(small.assume(data.task, share, large), first)
+        at = small.free(replace(start, own=np.zeros_like(start.own)))
+        at = _fit_with_same_friction(task, at, _ALL_TOGETHER)
+        at = forget_answers(replace(at, scatter=guess.scatter))
+        at = ensemble_refits.refit(task, at, _AT_EACH_HORIZON, tol=_WORTH)
+        cost = float(ensemble.criterion(task, at)[0]) + task.price * len(large)
+        if cost < least:
+            best, least = (at, large), cost
+    return best
+
+
+def _list_leaders(
+    data: DiagnosisData, small: SmallEffects, guess: Fits, first: NDArray
+) -> list[tuple[Fits, frozenset[int]]]:
+    """List the fits (ensembles of one) of some pushes before the horizon `first` with one small
+    effect of any size, or none, and the coordinate of that: those that explain most, and none."""
+    starts, own = [guess], [frozenset[int]()]
+    for i in small.index:
+        c = guess.c.copy()
+        c[0, i] = small.start[i]
+        starts.append(replace(guess, c=c, extra=((*guess.extra[0], i),)))
+        own.append(frozenset([i]))
+    task, some = cut_at(data.task, first), choose_subset(data.task)
+    fits = _fit_with_same_friction(task, ensemble.join(*starts), _TOGETHER, some)
+    cost = ensemble.criterion(task, fits)
+    near = [k for k in np.argsort(cost)[:_LEADERS] if cost[k] < _BEHIND * cost.min()]
+    return [(fits.pick(k), own[k]) for k in dict.fromkeys([*near, 0])]
+
+
+def _fit_with_same_friction(
+    task: EnsembleTask, fits: Fits, rounds: int, pushes: NDArray | None = None
+) -> Fits:
+    """Return the fits after some steps in which all pushes of a condition have the same mu_s."""
+    held = replace(fits, scatter=np.full(fits.m, _HELD))
+    return ensemble_refits.refit(
+        replace(task, estimate_scatter=False), held, rounds, pushes, tol=_WORTH
+    )
 
 
 def _begin_anew(at: Fits) -> Fits:

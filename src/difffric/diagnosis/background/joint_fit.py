@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
-from difffric.diagnosis.background.growing_horizon import fit_with_growing_horizon
+from difffric.diagnosis.background.growing_horizon import JointStart, fit_with_growing_horizon
 from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.diagnosis.data import DiagnosisData, choose_subset, move_unseen
 from difffric.estimation.ensembles import ensemble, ensemble_refits
@@ -49,19 +49,19 @@ def measure_left(task: EnsembleTask, fits: Fits) -> float:
 
 def fit_jointly(
     data: DiagnosisData, small: SmallEffects, plain: Fits, guess: Fits, effects: Sequence[str]
-) -> tuple[Fits, tuple[str, ...]]:
+) -> JointStart:
     """Return the best joint fit, begun from the plain fit `plain` and, where that does not arrive,
-    from `guess`, the set-up's own numbers (all ensembles of one); and those of the `effects` in it
-    that cut pushes short."""
+    from `guess`, the set-up's own numbers (all ensembles of one)."""
     task = small.assume(data.task, WIDE)
     found = ensemble_refits.refit(task, small.free(plain), _FIRST_ROUNDS, tol=ROUGHLY)
     if leaves_noise(task, found) or data.reduction is None:
-        return ensemble_refits.refit(task, found, _ROUNDS), ()
-    at = small.free(replace(guess, extra=plain.extra))
-    at, cutting = fit_with_growing_horizon(data, task, at, effects)
-    at = ensemble_refits.refit(task, at, _ROUNDS, tol=ROUGHLY)
-    better = float(ensemble.criterion(task, at)[0]) < float(ensemble.criterion(task, found)[0])
-    return (at, cutting) if better else (found, ())
+        return JointStart(ensemble_refits.refit(task, found, _ROUNDS), (), frozenset())
+    guess = replace(guess, extra=plain.extra)
+    start = fit_with_growing_horizon(data, small, guess, effects, WIDE)
+    freer = small.assume(data.task, WIDE, start.large)
+    at = ensemble_refits.refit(freer, start.at, _ROUNDS, tol=ROUGHLY)
+    before, after = (float(ensemble.criterion(*x)[0]) for x in ((task, found), (freer, at)))
+    return start._replace(at=at) if after < before else JointStart(found, (), frozenset())
 
 
 def fit_best(task: EnsembleTask, starts: Sequence[Fits]) -> tuple[Fits, int]:

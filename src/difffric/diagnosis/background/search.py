@@ -71,8 +71,8 @@ def search_background(
     exactly at its null."""
     small = choose_small_effects(data.task, plain, effects)
     small = replace(small, reach=limit_waves(data.task, data.scales))
-    joint, cutting = fit_jointly(data, small, plain, guess, effects)
-    return search_from(JointSearch(data, effects, background, small, plain, joint, cutting))
+    joint = fit_jointly(data, small, plain, guess, effects)
+    return search_from(JointSearch(data, effects, background, small, plain, *joint))
 
 
 def search_from(search: JointSearch) -> BackgroundSearch:
