@@ -8,24 +8,24 @@ mu_s of their own make up, wrongly, for what all else has wrong, and then nothin
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.diagnosis.background.size_scan import FROM_AFAR, place_cutting_effects
+from difffric.diagnosis.background.size_scan import sum_squares_at
 from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.diagnosis.data import DiagnosisData, choose_subset
-from difffric.diagnosis.starting_values import find_contact_time
+from difffric.diagnosis.starting_values import find_contact_time, list_starting_values
 from difffric.estimation.block_means import LONGEST, UnevenBlocks
 from difffric.estimation.ensembles import ensemble, ensemble_refits, friction_scan
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 
-_HORIZONS = (1.5, 4.0)
-"""The first horizons, in times for which the part and the tip touch."""
-_AT_EACH_HORIZON, _WORTH = 8, 10.0
+_HORIZONS, _MORE_HORIZONS = (1.5, 4.0), (10.0, 25.0)
+"""The first horizons, in times for which the part and the tip touch, and further ones where small
+effects are fitted: slow pushes stick and slip many times before they are released."""
+AT_EACH_HORIZON, WORTH = 8, 10.0
 """Steps at most at each horizon, and what one has to gain in chi-square."""
 _FIRST_SCATTER = 0.03
 """Relative scatter of mu_s from which a fit begins at the set-up's numbers."""
@@ -45,17 +45,6 @@ _LEADERS, _BEHIND = 3, 4.0
 """How many effects are followed at most, and how many times as much as the best they may leave."""
 
 
-class JointStart(NamedTuple):
-    """Where a fit with all small effects may go on from, with all samples."""
-
-    at: Fits
-    """the fit (an ensemble of one), without answers"""
-    cutting: tuple[str, ...]
-    """effects in it that cut pushes short"""
-    large: frozenset[int]
-    """coordinates of small effects that are not small in it"""
-
-
 def start_plain_fit(data: DiagnosisData, guess: Fits) -> Fits:
     """Return the plain fit of recordings to which a rough set-up leads, `guess` (an ensemble of
     one): from the stiffness, and each push's mu_s, that suit the first contact best."""
@@ -72,14 +61,12 @@ def start_plain_fit(data: DiagnosisData, guess: Fits) -> Fits:
         starts = _look_for_own(some, starts)
     at = ensemble_refits.refit(some, starts, 1)
     best = np.argsort(ensemble.criterion(some, at))[:_FOLLOWED]
-    at = ensemble_refits.refit(some, at.pick(best), _AT_EACH_HORIZON, tol=_WORTH)
+    at = ensemble_refits.refit(some, at.pick(best), AT_EACH_HORIZON, tol=WORTH)
     for horizon in later:
         best = np.argmin(ensemble.criterion(some, at))
         some = cut_at(task, horizon)
-        at = ensemble_refits.refit(
-            some, forget_answers(at.pick(best)), _AT_EACH_HORIZON, tol=_WORTH
-        )
-    return _end(task, at, guess)
+        at = ensemble_refits.refit(some, forget_answers(at.pick(best)), AT_EACH_HORIZON, tol=WORTH)
+    return restore_scatter(task, at, guess)
 
 
 def _look_for_own(task: EnsembleTask, fits: Fits) -> Fits:
@@ -95,39 +82,20 @@ def _look_for_own(task: EnsembleTask, fits: Fits) -> Fits:
     return replace(fits, mu=level, own=log_mu - level[:, task.condition])
 
 
-def fit_with_growing_horizon(
-    data: DiagnosisData, small: SmallEffects, guess: Fits, effects: Sequence[str], share: float
-) -> JointStart:
-    """Return where the set-up's own numbers, `guess` (an ensemble of one), lead, horizon by
-    horizon, with all small effects, which scatter by a `share` of their units, but for one that may
-    be large; those of the `effects` that cut pushes short are looked for beyond the first ones."""
-    first, *later, release = _list_horizons(data)
-    at, large = _fit_first_contact(data, small, _begin_anew(guess), first, share)
-    task = small.assume(data.task, share, large)
-    for horizon in later:
-        at = ensemble_refits.refit(
-            cut_at(task, horizon), forget_answers(at), _AT_EACH_HORIZON, tol=_WORTH
-        )
-    at = forget_answers(at)
-    at, cutting = place_cutting_effects(task, at, effects, data.scales, FROM_AFAR)
-    at = ensemble_refits.refit(
-        cut_at(task, release), forget_answers(at), _AT_EACH_HORIZON, tol=_WORTH
-    )
-    return JointStart(_end(task, at, guess), cutting, large)
-
-
-def _fit_first_contact(
+def fit_first_contact(
     data: DiagnosisData, small: SmallEffects, guess: Fits, first: NDArray, share: float
 ) -> tuple[Fits, frozenset[int]]:
-    """Return the fit to the samples before the horizon `first` with all small effects, and the
-    coordinate of that one which is large in it, if any."""
+    """Return the fit to the samples before the horizon `first` with all small effects, which
+    scatter by a `share` of their units, from the set-up's own numbers, `guess` (both ensembles of
+    one); and the coordinate of that effect which is large in it, if any."""
+    guess = _begin_anew(guess)
     best, least = (guess, frozenset[int]()), np.inf
     for start, large in _list_leaders(data, small, guess, first):
         task = cut_at(small.assume(data.task, share, large), first)
         at = small.free(replace(start, own=np.zeros_like(start.own)))
         at = _fit_with_same_friction(task, at, _ALL_TOGETHER)
         at = forget_answers(replace(at, scatter=guess.scatter))
-        at = ensemble_refits.refit(task, at, _AT_EACH_HORIZON, tol=_WORTH)
+        at = ensemble_refits.refit(task, at, AT_EACH_HORIZON, tol=WORTH)
         cost = float(ensemble.criterion(task, at)[0]) + task.price * len(large)
         if cost < least:
             best, least = (at, large), cost
@@ -139,13 +107,17 @@ def _list_leaders(
 ) -> list[tuple[Fits, frozenset[int]]]:
     """List the fits (ensembles of one) of some pushes before the horizon `first` with one small
     effect of any size, or none, and the coordinate of that: those that explain most, and none."""
-    starts, own = [guess], [frozenset[int]()]
-    for i in small.index:
-        c = guess.c.copy()
-        c[0, i] = small.start[i]
-        starts.append(replace(guess, c=c, extra=((*guess.extra[0], i),)))
-        own.append(frozenset([i]))
     task, some = cut_at(data.task, first), choose_subset(data.task)
+    starts, own = [guess], [frozenset[int]()]
+    for effect, i in zip(small.effects, small.index, strict=True):
+        sizes = [
+            task.model.coordinates.point(x)[0] for x in list_starting_values(effect, data.scales)
+        ]
+        points = np.repeat(guess.c, 1 + len(sizes), axis=0)
+        points[:, i] = [small.start[i], *sizes]
+        best = int(np.argmin(sum_squares_at(task, guess, points)))
+        starts.append(replace(guess, c=points[best : best + 1], extra=((*guess.extra[0], i),)))
+        own.append(frozenset([i]))
     fits = _fit_with_same_friction(task, ensemble.join(*starts), _TOGETHER, some)
     cost = ensemble.criterion(task, fits)
     near = [k for k in np.argsort(cost)[:_LEADERS] if cost[k] < _BEHIND * cost.min()]
@@ -158,7 +130,7 @@ def _fit_with_same_friction(
     """Return the fits after some steps in which all pushes of a condition have the same mu_s."""
     held = replace(fits, scatter=np.full(fits.m, _HELD))
     return ensemble_refits.refit(
-        replace(task, estimate_scatter=False), held, rounds, pushes, tol=_WORTH
+        replace(task, estimate_scatter=False), held, rounds, pushes, tol=WORTH
     )
 
 
@@ -167,7 +139,7 @@ def _begin_anew(at: Fits) -> Fits:
     return forget_answers(replace(at, scatter=np.maximum(at.scatter, _FIRST_SCATTER)))
 
 
-def _end(task: EnsembleTask, at: Fits, guess: Fits) -> Fits:
+def restore_scatter(task: EnsembleTask, at: Fits, guess: Fits) -> Fits:
     """The fits without answers; where the scatter is known it is again that of `guess`."""
     scatter = at.scatter if task.estimate_scatter else guess.scatter
     return forget_answers(replace(at, scatter=scatter))
@@ -181,12 +153,27 @@ def forget_answers(fits: Fits) -> Fits:
 def _list_horizons(data: DiagnosisData) -> Iterator[NDArray]:
     """Yield the horizons (n,) of the pushes [s]: a little after the first contact, some later, and
     the release."""
-    assert data.reduction is not None
     contact = find_contact_time(data.scales)
     for times in _HORIZONS:
         yield np.full(data.task.n, times * contact)
+    yield _find_releases(data)
+
+
+def list_joint_horizons(data: DiagnosisData) -> Iterator[NDArray]:
+    """Yield the horizons (n,) of the pushes [s] where small effects are fitted: more of them, none
+    beyond the release, and at last all samples."""
+    released, contact = _find_releases(data), find_contact_time(data.scales)
+    for times in (*_HORIZONS, *_MORE_HORIZONS):
+        yield np.minimum(times * contact, released)
+    yield released
+    yield np.full(data.task.n, np.inf)
+
+
+def _find_releases(data: DiagnosisData) -> NDArray:
+    """When each push was released (n,) [s], infinite where it was not."""
+    assert data.reduction is not None
     released = np.array([one.release_time for one in data.reduction.details])
-    yield np.where(np.isfinite(released), released, np.inf)
+    return np.where(np.isfinite(released), released, np.inf)
 
 
 def cut_at(task: EnsembleTask, horizon: NDArray) -> EnsembleTask:

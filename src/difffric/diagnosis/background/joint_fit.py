@@ -1,7 +1,4 @@
-"""The fit of the plain parameters and all small effects at once.
-
-It begins where the plain fit ended, and from the set-up's own numbers with a horizon that grows.
-"""
+"""The fit of the plain parameters and all small effects at once."""
 
 from __future__ import annotations
 
@@ -12,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
-from difffric.diagnosis.background.growing_horizon import JointStart, fit_with_growing_horizon
 from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.diagnosis.data import DiagnosisData, choose_subset, move_unseen
 from difffric.estimation.ensembles import ensemble, ensemble_refits
@@ -47,21 +43,13 @@ def measure_left(task: EnsembleTask, fits: Fits) -> float:
     return float(rss / task.counts.sum())
 
 
-def fit_jointly(
-    data: DiagnosisData, small: SmallEffects, plain: Fits, guess: Fits, effects: Sequence[str]
-) -> JointStart:
-    """Return the best joint fit, begun from the plain fit `plain` and, where that does not arrive,
-    from `guess`, the set-up's own numbers (all ensembles of one)."""
+def fit_jointly(data: DiagnosisData, small: SmallEffects, plain: Fits) -> Fits:
+    """Return the joint fit to which the plain fit `plain` leads (both ensembles of one)."""
     task = small.assume(data.task, WIDE)
     found = ensemble_refits.refit(task, small.free(plain), _FIRST_ROUNDS, tol=ROUGHLY)
     if leaves_noise(task, found) or data.reduction is None:
-        return JointStart(ensemble_refits.refit(task, found, _ROUNDS), (), frozenset())
-    guess = replace(guess, extra=plain.extra)
-    start = fit_with_growing_horizon(data, small, guess, effects, WIDE)
-    freer = small.assume(data.task, WIDE, start.large)
-    at = ensemble_refits.refit(freer, start.at, _ROUNDS, tol=ROUGHLY)
-    before, after = (float(ensemble.criterion(*x)[0]) for x in ((task, found), (freer, at)))
-    return start._replace(at=at) if after < before else JointStart(found, (), frozenset())
+        return ensemble_refits.refit(task, found, _ROUNDS)
+    return found
 
 
 def fit_best(task: EnsembleTask, starts: Sequence[Fits]) -> tuple[Fits, int]:

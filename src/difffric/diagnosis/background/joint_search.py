@@ -151,20 +151,20 @@ class JointSearch:
                 return True
         return False
 
-    def _assume_wide(self) -> EnsembleTask:
+    def assume_wide(self) -> EnsembleTask:
         """The task of fits that hardly hold small effects back."""
         return self.small.assume(self.data.task, WIDE, self.large)
 
     def rescan_own(self, evidence: Evidence) -> bool:
         """Look for the mu_s of pushes that fit badly on a grid; whether that is better."""
-        task = self._assume_wide()
+        task = self.assume_wide()
         start = friction_scan.rescan_bad_pushes(task, self.joint, fine=True)
         return start is not self.joint and self._follow_start(task, start)
 
     def enlarge_hidden(self, evidence: Evidence) -> bool:
         """Begin anew with sizes at which an effect shows that no small size does, as a push's own
         mu_s makes up for it; whether that is better."""
-        task = self._assume_wide()
+        task = self.assume_wide()
         coordinates, starts = task.model.coordinates, []
         for effect in (x for x in _HIDDEN if x in self.small.effects):
             for value in list_starting_values(effect, self.data.scales)[-_LARGEST_SIZES:]:
@@ -211,7 +211,7 @@ class JointSearch:
         costs; whether it is."""
         if not first:
             return False
-        task = self._assume_wide()
+        task = self.assume_wide()
         # What one effect does, small ones together may nearly do: begin without them, too.
         bases = (self.joint, self._forget_small())
         starts = [place_shapes(task, at, one.items, one.sizes) for at in bases for one in first]
@@ -227,7 +227,7 @@ class JointSearch:
     def place_cuts(self, evidence: Evidence) -> bool:
         """Place what cuts pushes short, of which no column tells unless its size is nearly right;
         whether it helps."""
-        task = self._assume_wide()
+        task = self.assume_wide()
         effects = [effect for effect in self.effects if effect not in self.shaped]
         price = float(scipy.stats.chi2.isf(SIGNIFICANT / count_looks(CUTTING[0], len(effects)), 1))
         share = price / float(task.counts.sum())
@@ -254,7 +254,7 @@ class JointSearch:
         whether there is one."""
         if len(self.shaped) < 2:
             return False
-        task = self._assume_wide()
+        task = self.assume_wide()
         bases = (self.joint, self._forget_small())
         starts = [leave_out(task, at, {effect}) for at in bases for effect in self.shaped]
         found, which = fit_best(task, starts)
@@ -266,7 +266,7 @@ class JointSearch:
 
     def move_shape(self, evidence: Evidence) -> bool:
         """Place a shape elsewhere that stands at a wrong place; whether that is better."""
-        task = self._assume_wide()
+        task = self.assume_wide()
         starts, prices = [], []
         for effect in (x for x in self.shaped if x not in CUTTING):
             there = self.grid.weigh(self.small, *self._take_out([effect]), [effect])
@@ -289,7 +289,7 @@ class JointSearch:
         effects whose shapes are still in it."""
         bare = leave_out(self.data.task, self.joint, effects)
         shaped = tuple(effect for effect in self.shaped if effect not in effects)
-        return ensemble.evaluate(self._assume_wide(), bare), shaped
+        return ensemble.evaluate(self.assume_wide(), bare), shaped
 
     def place_shapes_anew(self, evidence: Evidence) -> bool:
         """Place all small shapes anew: one may stand at a wrong place. Whether that is better."""
@@ -329,12 +329,12 @@ class JointSearch:
         if left.min() > _HOPELESS * measure_left(self.data.task, self.joint):
             return False
         fits, which = follow_leaders(self.data.task, few)
-        joint = ensemble.criterion(self._assume_wide(), self.joint)[0]
+        joint = ensemble.criterion(self.assume_wide(), self.joint)[0]
         if ensemble.criterion(self.data.task, fits)[0] > joint + _EACH * len(index):
             return False
         before, self.large = self.large, self.large | {chosen[which]}
         start = hold_at_null(self.small, self.small.free(fits), fits.extra[0])
-        if self._follow_start(self._assume_wide(), start, worth):
+        if self._follow_start(self.assume_wide(), start, worth):
             return True
         self.large = before
         return False
@@ -344,7 +344,7 @@ class JointSearch:
     ) -> tuple[Fits, tuple[str, ...]] | None:
         """Return the fit with shapes placed in the fit `at`, which has those of `shaped`, and the
         effects that are then in it; None where that is not worth it."""
-        task = self._assume_wide()
+        task = self.assume_wide()
         found = pursue_shapes(evidence, _AT_ONCE)
         nearby = list_nearby([item.shape for item in found.items if item.shape is not None])
         if not nearby:

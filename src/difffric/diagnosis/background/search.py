@@ -15,19 +15,39 @@ import numpy as np
 from difffric.diagnosis.background.cause_sets import CauseSet, find_set, search_sets
 from difffric.diagnosis.background.columns.shape_columns import limit_waves
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
-from difffric.diagnosis.background.joint_fit import fit_jointly, free_causes
-from difffric.diagnosis.background.joint_search import JointSearch
+from difffric.diagnosis.background.growing_horizon import (
+    AT_EACH_HORIZON,
+    WORTH,
+    cut_at,
+    fit_first_contact,
+    forget_answers,
+    list_joint_horizons,
+    restore_scatter,
+)
+from difffric.diagnosis.background.joint_fit import (
+    WIDE,
+    fit_jointly,
+    free_causes,
+    leaves_noise,
+    measure_left,
+)
+from difffric.diagnosis.background.joint_search import ARRIVED, MOST_EXCESS, JointSearch
 from difffric.diagnosis.background.shape_grid import is_near
+from difffric.diagnosis.background.size_scan import FROM_AFAR, place_cutting_effects
 from difffric.diagnosis.background.small_effects import (
     SmallEffects,
     choose_small_effects,
     measure_units,
 )
 from difffric.diagnosis.data import DiagnosisData
+from difffric.estimation.ensembles import ensemble, ensemble_refits
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 
 _COMPARISONS = 3
 """How often the sets are compared, each time where the last one's best set led."""
+_MOST_AT_A_HORIZON, _HARDLY_LESS = 6, 0.97
+"""How often shapes are placed at a horizon at most, and the share of squares down to which that is
+hardly any use."""
 _MOVED = 0.3
 """Share of a size that one may meet by which a fit moves an effect far."""
 
@@ -71,8 +91,79 @@ def search_background(
     exactly at its null."""
     small = choose_small_effects(data.task, plain, effects)
     small = replace(small, reach=limit_waves(data.task, data.scales))
-    joint = fit_jointly(data, small, plain, guess, effects)
-    return search_from(JointSearch(data, effects, background, small, plain, *joint))
+    joint = fit_jointly(data, small, plain)
+    search = JointSearch(data, effects, background, small, plain, joint)
+    if data.reduction is not None and not leaves_noise(data.task, joint):
+        grown = _search_with_growing_horizon(search, replace(guess, extra=plain.extra))
+        search = min(search, grown, key=_rate_fit)
+    return search_from(search)
+
+
+def _rate_fit(search: JointSearch) -> float:
+    """-2 log likelihood where a joint search stands, with what its large effects cost."""
+    task = search.assume_wide()
+    return float(ensemble.criterion(task, search.joint)[0]) + task.price * len(search.large)
+
+
+def _search_with_growing_horizon(search: JointSearch, guess: Fits) -> JointSearch:
+    """Return the joint search begun from the set-up's own numbers, `guess` (an ensemble of one),
+    with the samples up to a horizon that grows.
+
+    Shapes are placed as soon as they matter: what a push does wrong for want of one, it does more
+    and more wrong later, until no step helps.
+    """
+    data, small = search.data, search.small
+    first, *later = list_joint_horizons(data)
+    at, large = fit_first_contact(data, small, guess, first, WIDE)
+    grown = replace(search, joint=at, large=large)
+    for k, horizon in enumerate(later, 1):
+        grown = replace(grown, data=replace(data, task=cut_at(data.task, horizon)))
+        if k == len(later):
+            grown.joint = restore_scatter(data.task, grown.joint, guess)
+        _follow_horizon(grown)
+        if k < len(later):
+            _arrive_roughly(grown)
+    return replace(grown, data=data)
+
+
+def _follow_horizon(search: JointSearch) -> None:
+    """Go on with the samples that a search has now, pushes cut short where that explains much of
+    them, before they are fitted or after."""
+    task = search.assume_wide()
+    at = ensemble.evaluate(task, forget_answers(search.joint))
+    for turn in range(2):
+        cutting: tuple[str, ...] = ()
+        if not leaves_noise(task, at):
+            rest = [effect for effect in search.effects if effect not in search.shaped]
+            at, cutting = place_cutting_effects(task, at, rest, search.data.scales, FROM_AFAR)
+            search.shaped = (*search.shaped, *cutting)
+        if turn and not cutting:
+            break
+        at = ensemble_refits.refit(task, forget_answers(at), AT_EACH_HORIZON, tol=WORTH)
+    search.joint = at
+
+
+def _arrive_roughly(search: JointSearch) -> None:
+    """Place shapes until hardly more than noise is left, or none helps much."""
+    c = search.plain.c.copy()
+    known = list(search.data.task.shared)
+    c[0, known] = search.joint.c[0, known]
+    plain = replace(search.plain, c=c, mu=search.joint.mu, own=search.joint.own)
+    there, task = replace(search, plain=forget_answers(plain)), search.data.task
+    left = measure_left(task, search.joint)
+    for _ in range(_MOST_AT_A_HORIZON):
+        if left < ARRIVED:
+            break
+        evidence = there.weigh()
+        ways = [there.place_shapes, there.place_shapes_anew, there.move_shape]
+        if evidence.excess > MOST_EXCESS:
+            ways.insert(0, there.add_shape)
+        if not any(place(evidence) for place in ways):
+            break
+        before, left = left, measure_left(task, there.joint)
+        if left > _HARDLY_LESS * before:
+            break
+    search.joint, search.shaped = there.joint, there.shaped
 
 
 def search_from(search: JointSearch) -> BackgroundSearch:

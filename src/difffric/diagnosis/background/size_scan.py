@@ -56,7 +56,7 @@ def _place_best_size(
         sizes = np.geomspace(low, high, _SIZES)
         points = np.repeat(at.c, _SIZES + 1, axis=0)
         points[1:, i] = sizes
-        squares = _sum_squares(task, at, points)
+        squares = sum_squares_at(task, at, points)
         # Of sizes that cut nothing, the last: beyond it is the one that cuts a little.
         k = int(np.flatnonzero(squares[1:] <= (1 + _SAME) * squares[1:].min())[-1])
         if squares[1 + k] < least:
@@ -70,7 +70,7 @@ def _place_best_size(
     return replace(at, c=c, extra=(extra,), gram=None, residual=None, damping=None)
 
 
-def _sum_squares(task: EnsembleTask, at: Fits, points: np.ndarray) -> np.ndarray:
+def sum_squares_at(task: EnsembleTask, at: Fits, points: np.ndarray) -> np.ndarray:
     """The squares (m,) of all residuals at each of the `points` (m, K); infinite where a push could
     not be followed."""
     r, _ = ask_at(task, at, points)
