@@ -38,7 +38,8 @@ def is_misfit_large(task: EnsembleTask, fits: Fits) -> bool:
     linear at an effect's null is not to be trusted; or nothing is known of the noise."""
     left = measure_lack_of_fit(task, fits)
     by_chance = _BY_CHANCE * np.sqrt(2 * left.expected)  # of a table's few numbers
-    return left.p_value is None or left.excess > _LINEAR * left.expected + by_chance
+    few = left.excess <= _LINEAR * left.expected + by_chance  # a push that is not followed has none
+    return left.p_value is None or not few
 
 
 def measure_lack_of_fit(task: EnsembleTask, fits: Fits) -> LackOfFit:

@@ -41,7 +41,7 @@ _HELD = 1e-3
 """Relative scatter of mu_s with which pushes have the same."""
 _TOGETHER, _ALL_TOGETHER = 4, 12
 """Steps at most with the same mu_s, with one effect and with all."""
-_LEADERS, _BEHIND = 3, 4.0
+_LEADERS, _BEHIND = 6, 4.0
 """How many effects are followed at most, and how many times as much as the best they may leave."""
 
 
@@ -88,18 +88,26 @@ def fit_first_contact(
     """Return the fit to the samples before the horizon `first` with all small effects, which
     scatter by a `share` of their units, from the set-up's own numbers, `guess` (both ensembles of
     one); and the coordinate of that effect which is large in it, if any."""
-    guess = _begin_anew(guess)
-    best, least = (guess, frozenset[int]()), np.inf
+    guess, ends = _begin_anew(guess), []
     for start, large in _list_leaders(data, small, guess, first):
         task = cut_at(small.assume(data.task, share, large), first)
         at = small.free(replace(start, own=np.zeros_like(start.own)))
         at = _fit_with_same_friction(task, at, _ALL_TOGETHER)
+        ends.append((_rate(task, at, large), at, large))
+    best, least = (guess, frozenset[int]()), np.inf
+    for _, at, large in sorted(ends, key=lambda end: end[0])[:_FOLLOWED]:
+        task = cut_at(small.assume(data.task, share, large), first)
         at = forget_answers(replace(at, scatter=guess.scatter))
         at = ensemble_refits.refit(task, at, AT_EACH_HORIZON, tol=WORTH)
-        cost = float(ensemble.criterion(task, at)[0]) + task.price * len(large)
+        cost = _rate(task, at, large)
         if cost < least:
             best, least = (at, large), cost
     return best
+
+
+def _rate(task: EnsembleTask, at: Fits, large: frozenset[int]) -> float:
+    """-2 log likelihood of a fit (an ensemble of one), with what its large effects cost."""
+    return float(ensemble.criterion(task, at)[0]) + task.price * len(large)
 
 
 def _list_leaders(
