@@ -56,6 +56,8 @@ _ROUNDS = 20
 _WORTH, _LEAST_WORTH = 1e-2, 0.01
 """The share of a misfit that a step of the plain calibration has to explain, and by how much a step
 has to lower chi-square at least."""
+_NOISE, _OFF = 2.0, 5.0
+"""Squares per number up to which a recorded push leaves noise, and from which on it is off."""
 _SIZES = (0.3, 0.6, 0.85, 1.18, 1.7, 3.0)
 """Shares of an effect's size from which a model that has not arrived is fitted anew."""
 _FIRST_ROUNDS, _LAST_ROUNDS, _FINALISTS = 4, 30, 3
@@ -203,11 +205,26 @@ def fit_plain_model(task: EnsembleTask, start: Fits, guess: Fits) -> Fits:
     fits = ensemble_refits.refit(task, start, _ROUNDS)
     if not is_misfit_large(task, fits):
         again = friction_scan.rescan_loose_pushes(task, fits)
-        return ensemble_refits.refit_past_jumps(task, again, _ROUNDS)
-    level = replace(start, own=np.zeros_like(start.own))
-    every = ensemble.join(fits, ensemble_refits.refit(task, ensemble.join(level, guess), _ROUNDS))
-    best = np.argmin(ensemble.criterion(task, every))
-    return _rescan_and_refit(task, every.pick(best), fine=True)
+        fits = ensemble_refits.refit_past_jumps(task, again, _ROUNDS)
+    else:
+        level = replace(start, own=np.zeros_like(start.own))
+        more = ensemble_refits.refit(task, ensemble.join(level, guess), _ROUNDS)
+        every = ensemble.join(fits, more)
+        best = np.argmin(ensemble.criterion(task, every))
+        fits = _rescan_and_refit(task, every.pick(best), fine=True)
+    better = find_better_optimum(task, fits, guess) if _is_push_off(task, fits) else None
+    return fits if better is None else better
+
+
+def _is_push_off(task: EnsembleTask, fits: Fits) -> bool:
+    """Whether few recorded pushes fit far worse than most, which leave noise: their own mu_s, or
+    all else, are in a wrong place. Bristles without any compliance had been named for that, as
+    their fit was led elsewhere."""
+    if not task.model.recordings:
+        return False
+    squares = fits.gram[0, :, :, -1, -1] / fits.spread[0] ** 2
+    left = (squares / np.maximum(task.counts, 1.0)).max(axis=1)
+    return bool(np.median(left) < _NOISE < _OFF < left.max())
 
 
 def find_better_base(
