@@ -87,7 +87,8 @@ def fit_first_contact(
 ) -> tuple[Fits, frozenset[int]]:
     """Return the fit to the samples before the horizon `first` with all small effects, which
     scatter by a `share` of their units, from the set-up's own numbers, `guess` (both ensembles of
-    one); and the coordinate of that effect which is large in it, if any."""
+    one); and the coordinates of the effects that are large in it: one that explains most, and those
+    that are as far from their nulls beside it as they may be, where they go on."""
     guess, ends = _begin_anew(guess), []
     for start, large in _list_leaders(data, small, guess, first):
         task = cut_at(small.assume(data.task, share, large), first)
@@ -102,7 +103,18 @@ def fit_first_contact(
         cost = _rate(task, at, large)
         if cost < least:
             best, least = (at, large), cost
-    return best
+    at, large = best
+    for _ in range(_FOLLOWED):
+        freed = large | small.list_at_reach(at)
+        task = cut_at(small.assume(data.task, share, freed), first)
+        if freed == large:
+            break
+        there = ensemble_refits.refit(task, forget_answers(at), AT_EACH_HORIZON, tol=WORTH)
+        cost = _rate(task, there, freed)
+        if cost >= least:
+            break
+        at, large, least = there, freed, cost
+    return at, large
 
 
 def _rate(task: EnsembleTask, at: Fits, large: frozenset[int]) -> float:

@@ -29,6 +29,8 @@ _LARGEST = 2.0
 _FARTHEST, _UNSEEN_FARTHEST = 2.0, 5.0
 """Times a size that one may meet, beyond which an effect is not small; and one that changes neither
 F_p nor d, of which nobody knows."""
+_AT_REACH = 0.999
+"""The share of that from which on an effect is there."""
 _STEPS = 0.1, 0.01
 """Shares of such a size by which an effect is moved to see what it changes."""
 _FAR_STEPS = np.array([0.25, 0.5, 1.0, 2.0, 5.0])
@@ -71,11 +73,22 @@ class SmallEffects:
         index = np.array(self.index, int)[free]
         prior, reach = np.zeros(len(self.null)), np.full(len(self.null), np.inf)
         prior[index] = (share * self.unit[free]) ** -2.0
-        unseen = self.unit[free] >= _LARGEST * self.typical[free]
-        reach[index] = np.where(unseen, _UNSEEN_FARTHEST, _FARTHEST) * self.typical[free]
+        reach[index] = self._measure_reach()[free]
         for i, far in self.reach:
             reach[i] = far
         return replace(task, prior=prior, prior_about=self.null, reach=reach)
+
+    def _measure_reach(self) -> NDArray:
+        """How far (p,) from their nulls these effects may be while they are small."""
+        unseen = self.unit >= _LARGEST * self.typical
+        return np.where(unseen, _UNSEEN_FARTHEST, _FARTHEST) * self.typical
+
+    def list_at_reach(self, at: Fits) -> frozenset[int]:
+        """List the coordinates of effects that are as far from their nulls in a fit (an ensemble of
+        one) as they may be while they are small: they want to be larger."""
+        index = np.array(self.index, int)
+        away = np.abs(at.c[0, index] - self.null[index])
+        return frozenset(index[away >= _AT_REACH * self._measure_reach()].tolist())
 
     def free(self, fits: Fits) -> Fits:
         """Return the fits with these effects free beside what is free already."""
