@@ -398,3 +398,17 @@ def test_columns_of_some_effects_are_theirs_in_their_order():
     for mine, k in zip(some.columns, kept, strict=True):
         np.testing.assert_array_equal(some.rows[..., mine], columns.rows[..., columns.columns[k]])
     assert join_columns(some, columns.pick({"friction_waviness"})).rows.shape == columns.rows.shape
+
+
+def test_an_effect_at_its_reach_wants_to_be_larger():
+    """It is held there as long as it counts as small, and nowhere once it is a cause."""
+    task = draw(cause=30.0)[0]
+    K = 2 + len(NAMES)
+    ones = np.ones(len(NAMES))
+    small = SmallEffects(EFFECTS, tuple(range(2, K)), 0.3 * ones, ones, np.zeros(K), np.zeros(K))
+    at = small.free(start(task, 0.3))
+    assert small.list_at_reach(at) == frozenset()
+    held = ensemble_refits.refit(small.assume(task, 3.0), at, 20)
+    assert 2 in small.list_at_reach(held) and held.c[0, 2] < 3.0
+    free = ensemble_refits.refit(small.assume(task, 3.0, {2}), at, 20)
+    assert free.c[0, 2] == pytest.approx(30.0, abs=1.0)

@@ -94,13 +94,13 @@ def fit_first_contact(
         task = cut_at(small.assume(data.task, share, large), first)
         at = small.free(replace(start, own=np.zeros_like(start.own)))
         at = _fit_with_same_friction(task, at, _ALL_TOGETHER)
-        ends.append((_rate(task, at, large), at, large))
+        ends.append((rate_fit(task, at, large), at, large))
     best, least = (guess, frozenset[int]()), np.inf
     for _, at, large in sorted(ends, key=lambda end: end[0])[:_FOLLOWED]:
         task = cut_at(small.assume(data.task, share, large), first)
         at = forget_answers(replace(at, scatter=guess.scatter))
         at = ensemble_refits.refit(task, at, AT_EACH_HORIZON, tol=WORTH)
-        cost = _rate(task, at, large)
+        cost = rate_fit(task, at, large)
         if cost < least:
             best, least = (at, large), cost
     at, large = best
@@ -110,14 +110,14 @@ def fit_first_contact(
         if freed == large:
             break
         there = ensemble_refits.refit(task, forget_answers(at), AT_EACH_HORIZON, tol=WORTH)
-        cost = _rate(task, there, freed)
+        cost = rate_fit(task, there, freed)
         if cost >= least:
             break
         at, large, least = there, freed, cost
     return at, large
 
 
-def _rate(task: EnsembleTask, at: Fits, large: frozenset[int]) -> float:
+def rate_fit(task: EnsembleTask, at: Fits, large: frozenset[int]) -> float:
     """-2 log likelihood of a fit (an ensemble of one), with what its large effects cost."""
     return float(ensemble.criterion(task, at)[0]) + task.price * len(large)
 

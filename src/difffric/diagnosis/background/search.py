@@ -22,6 +22,7 @@ from difffric.diagnosis.background.growing_horizon import (
     fit_first_contact,
     forget_answers,
     list_joint_horizons,
+    rate_fit,
     restore_scatter,
 )
 from difffric.diagnosis.background.joint_fit import (
@@ -95,14 +96,13 @@ def search_background(
     search = JointSearch(data, effects, background, small, plain, joint)
     if data.reduction is not None and not leaves_noise(data.task, joint):
         grown = _search_with_growing_horizon(search, replace(guess, extra=plain.extra))
-        search = min(search, grown, key=_rate_fit)
+        search = min(search, grown, key=_rate_joint)
     return search_from(search)
 
 
-def _rate_fit(search: JointSearch) -> float:
+def _rate_joint(search: JointSearch) -> float:
     """-2 log likelihood where a joint search stands, with what its large effects cost."""
-    task = search.assume_wide()
-    return float(ensemble.criterion(task, search.joint)[0]) + task.price * len(search.large)
+    return rate_fit(search.assume_wide(), search.joint, search.large)
 
 
 def _search_with_growing_horizon(search: JointSearch, guess: Fits) -> JointSearch:
