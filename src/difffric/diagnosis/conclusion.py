@@ -234,7 +234,7 @@ def _infer_friction(found: Findings, at: Fits, explained: bool) -> tuple[np.ndar
         friction, errors = found.friction
         if np.isfinite(found.friction).all():
             return friction, np.hypot(errors, found.unseen)
-    named = {one.best.effect for one in (*found.causes, *found.slight)}
+    named = {one.best.effect for one in found.causes}
     known = {name.partition(".")[0] for name in strip_effects(found.setup)[1]}
     grown = DWELL_EFFECT in named | known
     errors = compute_friction_errors(task, at, found.unseen, grown)

@@ -47,6 +47,7 @@ from difffric.diagnosis.exploration import CandidateCause, explore_bristles
 from difffric.diagnosis.extended_setup import describe_plain
 from difffric.diagnosis.impossible_measurements import find_unreachable
 from difffric.diagnosis.inferred.changes import measure_changes
+from difffric.diagnosis.inferred.friction import DWELL_EFFECT
 from difffric.diagnosis.lack_of_fit import LackOfFit, is_misfit_large, measure_lack_of_fit
 from difffric.diagnosis.location import Location
 from difffric.diagnosis.score_test import SIGNIFICANT, Score, compute_p_value, run_score_tests
@@ -276,9 +277,11 @@ class _CauseSearch(CauseRounds):
         elif not items and found.evidence.excess < ARRIVED:
             self.friction = average_over_sets(found.evidence, base, found.sets)
         self._add_causes(found, p_values)
-        # Where the fit has not arrived no linear average is to be trusted.
+        # Where the fit has not arrived no linear average is to be trusted; where a rest does not
+        # matter mu_s is that of the friction that slides.
         if share > BACKGROUND and found.evidence.excess < ARRIVED:
             told = {one.best.effect for one in self.named}
+            told -= {DWELL_EFFECT} - {one.best.effect for one in self._list_causes()}
             kept = tuple(item for item in items if item.effect in told)
             self.friction = estimate_friction(found.evidence, kept, USUAL_SHARE)
         if bristles is not None:
@@ -313,8 +316,7 @@ class _CauseSearch(CauseRounds):
         return poor or (nothing and not self.validation.is_at_floor(base))
 
     def _add_causes(self, found: BackgroundSearch, p_values: Mapping[PossibleCause, float]) -> None:
-        """Add causes with their p-values, but for those without which the fit is as good: they were
-        there to make up for what another one did."""
+        """Add causes with their p-values, but for those without which the fit is as good."""
         task, items, named = self.start.data.task, tuple(p_values), []
         for item, p_value in p_values.items():
             whole = self.whole or self.base
@@ -341,8 +343,7 @@ class _CauseSearch(CauseRounds):
         return explore_bristles(data.task, self.plain, data.scales, len(data.looked_for))
 
     def _add_bristles(self, rivals: Sequence[Fits], alone: bool = False) -> bool:
-        """Add bristles where they explain more than each of the `rivals`, and `alone`: all that
-        held-out pushes say; whether they do."""
+        """Add bristles if they explain more than the `rivals`, `alone`: all; whether they do."""
         self.tell("looking for bristles", 0.3 if alone else 0.65)
         task, plain, one = self.start.data.task, self.plain, self._bristles
         if one is None or (alone and not self.validation.is_at_floor(one.fits)):
@@ -368,8 +369,7 @@ class _CauseSearch(CauseRounds):
         self.considered = [one]
 
     def _leads_astray(self, fits: Fits) -> bool:
-        """Whether the plain model foresees held-out pushes better than `fits`, by more than these
-        explain where they are fitted."""
+        """Whether held-out pushes speak against `fits` by more than these explain."""
         task, foresee = self.start.data.task, self.validation.measure_surprise
         value = ensemble.criterion(task, ensemble.join(self.plain, fits))
         return foresee(fits) - foresee(self.plain) > float(value[0] - value[1])

@@ -146,7 +146,8 @@ class Diagnosis:
     setup: Setup
     """the same as it is written to a file"""
     mu_s: tuple[float, ...]
-    """of each push, drift and dwell included, by the model with all that was detected"""
+    """of each push, with its drift, and its dwell where that is a cause, by the model with all that
+    was detected"""
     mu_s_standard_error: tuple[float, ...]
     """of each of these: of the noise, of the causes' sizes, and of the small effects beside them"""
     change_mu_s: float = 0.0

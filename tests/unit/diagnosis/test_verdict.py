@@ -1,11 +1,13 @@
 """What an effect changes, in absolute terms, and the friction that each push had."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import difffric as df
+from difffric.diagnosis import conclusion
 from difffric.diagnosis.inferred.changes import compare_readings, measure_changes
 from difffric.diagnosis.inferred.friction import find_friction
 from difffric.estimation.effect_coordinates import Coordinates
@@ -51,6 +53,22 @@ def test_without_growth_in_rest_the_friction_is_that_which_slides():
     np.testing.assert_allclose(
         np.exp(find_friction(task, fits, grown=False)), 0.14 * (1 + 0.1 * SHARE), rtol=1e-12
     )
+
+
+@pytest.mark.parametrize("matters", [True, False])
+def test_growth_in_rest_is_told_with_the_friction_where_it_is_a_cause(monkeypatch, matters):
+    task, null, fits = place({"static_dwell.amplitude": 0.02})
+    task.counts, lack = np.ones(3), SimpleNamespace(chi2=np.ones(3))
+    monkeypatch.setattr(conclusion, "measure_lack_of_fit", lambda *_: lack)
+    monkeypatch.setattr(conclusion, "compute_friction_errors", lambda *_: np.zeros(3))
+    one = SimpleNamespace(best=SimpleNamespace(effect="static_dwell"))
+    found: Any = SimpleNamespace(
+        setup=df.Setup(RIG), data=SimpleNamespace(task=task), plain=null, whole=fits,
+        friction=None, unseen=0.0, causes=(one,) * matters, slight=(one,) * (not matters),
+    )  # fmt: skip
+    friction, _ = conclusion._infer_friction(found, fits, explained=True)
+    growth = 1 + 0.02 * np.log(1 + REST)
+    np.testing.assert_allclose(np.exp(friction), 0.14 * (growth if matters else 1), rtol=1e-12)
 
 
 def test_a_push_on_an_edge_does_not_hide_what_others_show():
