@@ -147,7 +147,7 @@ GROUPS = {
     "background, 1 %": Group(14, 200, partial(_background, change=0.01), 0.005),
     "three times, 3 %": Group(15, 200, partial(_background, share=0.0105, change=0.03), 0.005),
     "outsiders, background": Group(
-        18, 150, partial(_background, change=0.03, among=tuple(OUTSIDERS)), 0.005
+        18, 60, partial(_background, change=0.03, among=tuple(OUTSIDERS)), 0.005
     ),
     "s = 4": Group(16, 240, _strong(4.0)),
 }
