@@ -61,7 +61,7 @@ from difffric.known_so_far import tell_answer
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
 from difffric.progress import Tell, silent
-from difffric.rig.catalogue import numbers_of
+from difffric.rig.catalogue import CUTTING, numbers_of
 from difffric.rig.rig import Rig
 from difffric.rig.setup import Setup
 
@@ -277,8 +277,7 @@ class _CauseSearch(CauseRounds):
         elif not items and found.evidence.excess < ARRIVED:
             self.friction = average_over_sets(found.evidence, base, found.sets)
         self._add_causes(found, p_values)
-        # Where the fit has not arrived no linear average is to be trusted; where a rest does not
-        # matter mu_s is that of the friction that slides.
+        # Linear averages are not for a fit that has not arrived, nor has mu_s a slight dwell in it.
         if share > BACKGROUND and found.evidence.excess < ARRIVED:
             told = {one.best.effect for one in self.named}
             told -= {DWELL_EFFECT} - {one.best.effect for one in self._list_causes()}
@@ -385,7 +384,8 @@ class _CauseSearch(CauseRounds):
         usual = one.best.effect in self.usual
         if usual or self.share > BACKGROUND:  # mu_s moves by what others do in its place
             small = _SURELY * max(self.share, USUAL_SHARE) * UNIT_CHANGE if usual else 0.0
-            read = changes.of_most if usual else max(changes.peak_force, changes.sliding_distance)
+            most = usual or one.best.effect in CUTTING
+            read = changes.of_most if most else max(changes.peak_force, changes.sliding_distance)
             return read >= max(small, self.matters)
         return changes.as_mu_s >= self.matters
 

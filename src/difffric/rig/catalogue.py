@@ -214,6 +214,8 @@ _LIST = (
 CATALOGUE: dict[str, Effect] = {effect.id: effect for effect in _LIST}
 """id -> effect. `friction_ratio` is `mu_k_over_mu_s`, a parameter of equation (1) itself."""
 
+CUTTING = ("pusher_duration",)
+"""Effects that cut a push short."""
 RATIO = "friction_ratio"
 RATIO_SIGNS = (
     "stuck and sliding pushes that want different mu_s",

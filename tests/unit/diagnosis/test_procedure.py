@@ -5,6 +5,7 @@ rough set-ups. What is named, its size, and what it gains on pushes that nobody 
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ import difffric as df
 from difffric.diagnosis import procedure
 from difffric.diagnosis.alternatives import find_alternatives
 from difffric.diagnosis.exploration import CandidateCause
-from difffric.diagnosis.inferred.changes import Changes
+from difffric.diagnosis.inferred import changes
+from difffric.diagnosis.inferred.changes import Changes, ReadingChanges
 from difffric.diagnosis.misfit import PHASES
 from difffric.rig.setup import Setup
 from difffric.rig.setup_toml import read_setup
@@ -99,6 +101,20 @@ def test_beside_a_background_what_is_read_says_whether_a_cause_matters(monkeypat
     assert search._does_matter(one, None)  # type: ignore
     search.share = 0.2
     assert not search._does_matter(one, None)  # type: ignore
+
+
+@pytest.mark.parametrize(("effect", "matters"), [("pusher_lag", True), ("pusher_duration", False)])
+def test_beside_a_background_half_counts_of_what_cuts_pushes_short(monkeypatch, effect, matters):
+    monkeypatch.setattr(changes, "compare_readings", lambda *_: ReadingChanges(0, 0.008, 1, 0.008))
+    monkeypatch.setattr(changes, "find_friction", lambda *_: np.zeros(2))
+    at: Any = SimpleNamespace(c=np.zeros((1, 3)), mu=np.zeros((1, 1)), own=np.zeros((1, 2)))
+    coordinates = SimpleNamespace(indices=lambda names: [2])
+    task = SimpleNamespace(n=2, condition=[0, 0], model=SimpleNamespace(coordinates=coordinates))
+    search = object.__new__(procedure._CauseSearch)
+    search.start, search.matters = SimpleNamespace(data=SimpleNamespace(task=task)), 0.005  # type: ignore
+    search.usual, search.share = frozenset(), 0.2
+    one: Any = SimpleNamespace(best=SimpleNamespace(effect=effect), without=at)
+    assert search._does_matter(one, at) == matters
 
 
 def test_nothing_is_named_where_nothing_is_hidden(tmp_path):

@@ -16,14 +16,13 @@ from difffric.diagnosis.background.joint_fit import WIDE, follow_leaders, measur
 from difffric.diagnosis.background.joint_search import MOST_EXCESS, JointSearch
 from difffric.diagnosis.background.search import BackgroundSearch, search_from
 from difffric.diagnosis.background.shape_grid import leave_out
-from difffric.diagnosis.background.size_scan import CUTTING
 from difffric.diagnosis.data import choose_subset, move_unseen
 from difffric.diagnosis.lack_of_fit import is_misfit_large
 from difffric.diagnosis.starting_values import list_starting_values
 from difffric.estimation.ensembles import ensemble, ensemble_refits, friction_scan
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.estimation.extended_model import PRESLIDING
-from difffric.rig.catalogue import numbers_of
+from difffric.rig.catalogue import CUTTING, numbers_of
 
 LIKE_BRISTLES = ("friction_patch", "friction_ratio", "friction_waviness")
 """Effects that bristles are taken for."""

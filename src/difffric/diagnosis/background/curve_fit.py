@@ -18,13 +18,13 @@ from difffric.diagnosis.background.joint_fit import LEAST_SHARE, WIDE, fit_best,
 from difffric.diagnosis.background.joint_search import ARRIVED
 from difffric.diagnosis.background.search import BackgroundSearch
 from difffric.diagnosis.background.shape_grid import leave_out
-from difffric.diagnosis.background.size_scan import CUTTING
 from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.diagnosis.data import DiagnosisData
 from difffric.diagnosis.inferred.friction import compute_friction_errors, find_friction
 from difffric.diagnosis.location import Location, add_free_forms, make_location, place_forms
 from difffric.estimation.ensembles import ensemble
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
+from difffric.rig.catalogue import CUTTING
 from difffric.rig.free_form import SPLINES
 
 _LEFT = 1.03

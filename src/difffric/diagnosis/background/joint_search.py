@@ -37,14 +37,14 @@ from difffric.diagnosis.background.placement import (
 )
 from difffric.diagnosis.background.shape_grid import ShapeGrid, leave_out
 from difffric.diagnosis.background.shape_pursuit import choose_best_shapes, pursue_shapes
-from difffric.diagnosis.background.size_scan import CUTTING, place_cutting_effects
+from difffric.diagnosis.background.size_scan import place_cutting_effects
 from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.diagnosis.data import DiagnosisData
 from difffric.diagnosis.score_test import SIGNIFICANT, count_looks
 from difffric.diagnosis.starting_values import list_starting_values
 from difffric.estimation.ensembles import ensemble, ensemble_refits, friction_scan
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
-from difffric.rig.catalogue import numbers_of
+from difffric.rig.catalogue import CUTTING, numbers_of
 
 MOST_EXCESS = 1.5
 """By how many times the noise the small effects and the columns of shapes may leave, to be

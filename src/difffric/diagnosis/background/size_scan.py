@@ -13,11 +13,9 @@ import numpy as np
 from difffric.diagnosis.background.small_effects import ask_at
 from difffric.diagnosis.starting_values import list_starting_values
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
-from difffric.rig.catalogue import numbers_of
+from difffric.rig.catalogue import CUTTING, numbers_of
 from difffric.rig.scales import Scales
 
-CUTTING = ("pusher_duration",)
-"""Effects that cut a push short."""
 _SIZES, _ROUNDS = 24, 4
 """Sizes that are tried at once, and how often, each time between the best one's neighbours."""
 _BEYOND = 1.02

@@ -10,13 +10,16 @@ from numpy.typing import NDArray
 
 from difffric.diagnosis.inferred.friction import find_friction
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
-from difffric.rig.catalogue import numbers_of
+from difffric.rig.catalogue import CUTTING, numbers_of
 
 _STEP = 1e-3
 """Relative change of mu_s by which F_p and d are differentiated: far above the error with which
 a push is followed, and so small that nothing but the slope is seen."""
 _TELLS = 0.1
 """Relative change of F_p, or of d, by that of mu_s: below, nobody infers mu_s from it."""
+_OF_CUTTING = 0.5
+"""Share that counts of what an effect that cuts pushes short changes of F_p or d: a few of them all
+at once, several times as much as by itself where other effects make the tip late."""
 _STEEP = 3.0
 """How many times as steep as most a push is at most, in its d or F_p by mu_s."""
 
@@ -35,7 +38,8 @@ class Changes:
     """the largest of the three as a share of mu_s: F_p and d count as the change of mu_s that
     changes them as much"""
     of_most: float
-    """the larger of those of F_p and d, without the push that changes most"""
+    """the larger of those of F_p and d, without the push that changes most, and half of it for what
+    cuts pushes short: with which of the causes a rig is to be mended first"""
 
 
 class ReadingChanges(NamedTuple):
@@ -63,7 +67,8 @@ def measure_changes(task: EnsembleTask, without: Fits, at: Fits, effect: str) ->
     readings = compare_readings(task, c, lacking)
     moved = _take_rms(find_friction(task, at) - find_friction(task, without))
     as_mu_s = max(moved, readings.as_mu_s)
-    return Changes(moved, readings.force, readings.distance, as_mu_s, readings.of_most)
+    of_most = readings.of_most * (_OF_CUTTING if effect in CUTTING else 1.0)
+    return Changes(moved, readings.force, readings.distance, as_mu_s, of_most)
 
 
 def compare_readings(task: EnsembleTask, c: NDArray, lacking: NDArray) -> ReadingChanges:
