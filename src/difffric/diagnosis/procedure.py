@@ -277,7 +277,7 @@ class _CauseSearch(CauseRounds):
         elif not items and found.evidence.excess < ARRIVED:
             self.friction = average_over_sets(found.evidence, base, found.sets)
         self._add_causes(found, p_values)
-        # Linear averages are not for a fit that has not arrived, nor has mu_s a slight dwell in it.
+        # A fit that has not arrived is not averaged; a dwell that is no cause is not in mu_s.
         if share > BACKGROUND and found.evidence.excess < ARRIVED:
             told = {one.best.effect for one in self.named}
             told -= {DWELL_EFFECT} - {one.best.effect for one in self._list_causes()}
@@ -342,7 +342,7 @@ class _CauseSearch(CauseRounds):
         return explore_bristles(data.task, self.plain, data.scales, len(data.looked_for))
 
     def _add_bristles(self, rivals: Sequence[Fits], alone: bool = False) -> bool:
-        """Add bristles if they explain more than the `rivals`, `alone`: all; whether they do."""
+        """Add bristles, and tell so, where they beat the `rivals` and, `alone`, leave but noise."""
         self.tell("looking for bristles", 0.3 if alone else 0.65)
         task, plain, one = self.start.data.task, self.plain, self._bristles
         if one is None or (alone and not self.validation.is_at_floor(one.fits)):

@@ -61,7 +61,7 @@ class Cause:
     count as the change of mu_s that changes them as much"""
     change_of_most: float = 0.0
     """the larger of those of F_p and d, without the push that changes most: what makes a push on an
-    edge jump is no larger a cause for that"""
+    edge jump is no larger a cause for that; half of it for what cuts pushes short"""
 
     def as_dict(self) -> dict[str, Any]:
         """As `result.json` holds it."""

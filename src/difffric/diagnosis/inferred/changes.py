@@ -38,8 +38,8 @@ class Changes:
     """the largest of the three as a share of mu_s: F_p and d count as the change of mu_s that
     changes them as much"""
     of_most: float
-    """the larger of those of F_p and d, without the push that changes most, and half of it for what
-    cuts pushes short: with which of the causes a rig is to be mended first"""
+    """the larger of those of F_p and d, without the push that changes most; half of that for an
+    effect that cuts pushes short"""
 
 
 class ReadingChanges(NamedTuple):
