@@ -28,10 +28,10 @@ from difffric.diagnosis.background.naming import (
     BACKGROUND,
     USUAL_SHARE,
     choose_by_fits,
+    choose_significant,
     compare_rivals,
     fit_causes,
     fit_singles,
-    keep_significant,
     list_outstanding,
 )
 from difffric.diagnosis.background.search import (
@@ -294,7 +294,7 @@ class _CauseSearch(CauseRounds):
         as its best, their p-values, and the fit with them and no background."""
         task = self.start.data.task
         found = choose_by_fits(task, found.plain, found)
-        items, p_values = keep_significant(found.evidence, found.best, SIGNIFICANT)
+        items, p_values = choose_significant(task, found, SIGNIFICANT)
         if self.matters > 0:
             outstanding = list_outstanding(found.evidence, items)
             self.usual = frozenset(item.effect for item in items) - outstanding

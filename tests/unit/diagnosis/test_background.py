@@ -80,7 +80,7 @@ def test_sets_compare_as_the_dense_normal_distribution_says(causes):
     task, slopes, measured = draw(cause=1.0, background=0.1)
     found = weigh(task)
     assert found.excess == 1.0
-    scatter = found.at.scatter[0] * evidence._SCATTERS
+    scatter = evidence._list_scatters(task, found.at.scatter[0])
     shares, prior = np.append(0.0, evidence.SHARES), evidence._make_prior(True)
 
     def average(causes: list[int]) -> float:
@@ -101,6 +101,21 @@ def test_a_cause_stands_out_and_is_alone_in_the_best_set():
     assert found.compute_log_p_values(best.items, 0.0)[0] < np.log(1e-5)
     kept, p_values = naming.keep_significant(found, best, 1e-3)
     assert kept == best.items and p_values[0] < 1e-3
+
+
+def test_a_cause_by_itself_is_judged_by_its_fit_where_linear_answers_do_not_see_it():
+    task, _, _ = draw(cause=3.0)
+    plain = ensemble_refits.refit(task, start(task, 0.3), 10)
+    freed = replace(plain, extra=((2,),), gram=None, residual=None, damping=None)
+    fitted = ensemble_refits.refit(task, freed, 10)
+    blind = weigh(draw(cause=0.0)[0])
+    best = cause_sets.CauseSet(tuple(blind.items[:1]), 0.0, (0.0,))
+    search: Any = SimpleNamespace(evidence=blind, best=best, plain=plain, fitted=fitted)
+    assert naming.keep_significant(blind, best, 1e-3) == ((), [])
+    kept, (p_value,) = naming.choose_significant(task, search, 1e-3)
+    assert kept == best.items and p_value < 1e-5
+    search.fitted = plain  # which explains no more
+    assert naming.choose_significant(task, search, 1e-3) == ((), [])
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -20,7 +20,7 @@ from difffric.diagnosis.background.placement import predict_start, put_shape, pu
 from difffric.diagnosis.background.search import BackgroundSearch
 from difffric.diagnosis.conclusion import ALIKE
 from difffric.diagnosis.exploration import CandidateCause
-from difffric.diagnosis.score_test import count_looks
+from difffric.diagnosis.score_test import compute_p_value, count_looks
 from difffric.estimation.ensembles import ensemble, ensemble_refits
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import numbers_of
@@ -85,6 +85,20 @@ def _list_rivals(
             others = (other for other in search.sets if other is not one)
             rivals.setdefault(one.effects, replace(search, sets=(one, *others)))
     return rivals
+
+
+def choose_significant(
+    task: EnsembleTask, search: BackgroundSearch, significant: float
+) -> tuple[tuple[PossibleCause, ...], list[float]]:
+    """Return what `keep_significant` does of the search's best set. A cause by itself is judged by
+    its fit too, where that is known: with it a push may arrive whose mu_s linear answers miss."""
+    kept, p_values = keep_significant(search.evidence, search.best, significant)
+    if kept or search.fitted is None or len(search.best.items) != 1:
+        return kept, p_values
+    (item,) = search.best.items
+    value = ensemble.criterion(task, ensemble.join(search.plain, search.fitted))
+    p_value = compute_p_value(item.effect, float(value[0] - value[1]), search.evidence.effects)
+    return ((item,), [p_value]) if p_value < significant else ((), [])
 
 
 def keep_significant(
