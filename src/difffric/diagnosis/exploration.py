@@ -357,9 +357,8 @@ def _extend_to_all_pushes(search: _EffectSearch, fits: Fits, owner: NDArray, som
 
 def _predict_cost(task: EnsembleTask, fits: Fits) -> tuple[NDArray, NDArray]:
     """Return the (m,) costs as they stand, and what one step promises that they would be."""
-    found = ensemble.normal_equations(task, fits)
-    gain = np.einsum("mp,mp->m", ensemble.solve(found.H, found.g), found.g)
-    return found.cost, found.cost + np.minimum(gain, 0.0)
+    cost = ensemble.normal_equations(task, fits).cost
+    return cost, cost - np.maximum(ensemble_refits.predict_gain(task, fits), 0.0)
 
 
 def _predict_criterion(task: EnsembleTask, fits: Fits) -> NDArray:

@@ -145,13 +145,9 @@ def _score_shapes(
     whole = base.pick(np.zeros(m, int))
     fits = replace(whole, extra=((*base.extra[0], *free),) * m, c=c, gram=None, residual=None)
     fits = ensemble.evaluate(task, replace(fits, damping=None), pushes)
-    found = ensemble.normal_equations(task, fits)
-    known = found.H.shape[1] - len(free)
-    drop = np.zeros(m)
+    drop, step = _predict_step(task, fits, len(free))
     moving = [0, *range(2, len(index))]  # all but the shape
-    for j in range(m):
-        drop[j], step = _predict_step(found.H[j], found.g[j], known)
-        at[j, moving] += step
+    at[:, moving] += step
     size = np.abs(at[:, 0]) if len(index) == 2 else np.hypot(at[:, 0], at[:, 2])
     shrink = np.minimum(1.0, _LARGEST / coordinates.unit[amplitude] / np.maximum(size, 1e-12))
     at[:, moving] *= shrink[:, None]
@@ -164,14 +160,19 @@ def _score_shapes(
     return drop, replace(new, extra=((*base.extra[0], *index),) * m, residual=None)
 
 
-def _predict_step(H: NDArray, g: NDArray, known: int) -> tuple[float, NDArray]:
-    """Return the predicted drop of chi-square, and the step of the numbers after the first `known`
-    that makes it, by normal equations (H, g)."""
-    scale = np.sqrt(np.maximum(np.diag(H), 1e-12))
-    A, r = H / np.outer(scale, scale), g / scale
-    solve = np.linalg.pinv(A[:known, :known], rcond=1e-12)
-    X = A[:known, known:]
-    S = A[known:, known:] - X.T @ solve @ X
-    left = r[known:] - X.T @ solve @ r[:known]
-    step = -np.linalg.lstsq(S, left, rcond=1e-6)[0]
-    return float(-step @ left), step / scale[known:]
+def _predict_step(task: EnsembleTask, fits: Fits, free: int) -> tuple[NDArray, NDArray]:
+    """Return the predicted drops of chi-square (m,) that the last `free` numbers of the fits make,
+    and their steps (m, free), all within bounds.
+
+    A patch may hold k_v at zero: what a negative one would explain as well is no patch.
+    """
+    found, now = ensemble.normal_equations(task, fits), ensemble_refits.gather_point(task, fits)
+    limits = ensemble_refits.find_limits(task, fits)
+
+    def solve(P: int) -> tuple[NDArray, NDArray]:
+        H, g = found.H[:, :P, :P], found.g[:, :P]
+        step = ensemble_refits.solve_within(H, g, now[:, :P], *(x[:, :P] for x in limits))
+        return -np.einsum("mp,mp->m", step, 2 * g + np.einsum("mpq,mq->mp", H, step)), step
+
+    whole, step = solve(now.shape[1])
+    return np.maximum(whole - solve(now.shape[1] - free)[0], 0.0), step[:, -free:]

@@ -70,6 +70,12 @@ def take_step(task: EnsembleTask, fits: Fits, damping: ArrayLike) -> Fits:
     return _predict_step(task, fits, damping)[0]
 
 
+def predict_gain(task: EnsembleTask, fits: Fits) -> NDArray:
+    """The fall of the sum of squares (m,) that the fits' linear models promise of a step within
+    the bounds."""
+    return _predict_step(task, fits, 0.0)[1]
+
+
 def _predict_step(
     task: EnsembleTask,
     fits: Fits,
