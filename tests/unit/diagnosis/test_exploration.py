@@ -1,12 +1,17 @@
 """Which effects lead, where what is linear at their nulls is right."""
 
+from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
 
+from difffric.diagnosis import shape_scan
 from difffric.diagnosis.exploration import explore
 from difffric.diagnosis.score_test import run_score_tests
-from difffric.estimation.ensembles import ensemble_refits
+from difffric.estimation.ensembles import ensemble, ensemble_refits
 from difffric.rig.catalogue import numbers_of
 from tests.unit.diagnosis.linear_rig import make_task, start
 
@@ -33,3 +38,25 @@ def test_a_drift_leads_that_leaves_no_scatter_and_larger_squares():
     found = explore(task, base, effects, scales, scores, far=False)  # type: ignore
     assert found[0].effect == "friction_drift"
     assert found[0].p_value < 1e-6
+
+
+@pytest.mark.parametrize("k", [-1.0, -0.2, 0.5])
+def test_a_shape_explains_what_it_adds_to_a_fit_within_bounds(k):
+    n, rng = 20, np.random.default_rng(4)
+    slopes = rng.standard_normal((n, 2, 3))
+    slopes[:, :, 0] = 0.0  # mu_s shows in nothing
+    slopes[:, :, 2] += 0.7 * slopes[:, :, 1]
+    measured = slopes @ [0.0, k, 0.4] + 0.1 * rng.standard_normal((n, 2))
+    task: Any = make_task(slopes, measured, ("k", "patch"), shared=(1,))
+    at = replace(start(task, 0.3), extra=((2,),))
+    coordinates = task.model.coordinates
+    coordinates.bounds = lambda name: (0.0 if name == "k" else -np.inf, np.inf)
+    model: Any = SimpleNamespace(
+        coordinates=coordinates, answers=task.model.answers, directions=8, recordings=False
+    )
+    task = replace(task, model=model)
+    drop, step = shape_scan._predict_step(task, ensemble.evaluate(task, at), 1)
+    A, b, low = slopes.reshape(-1, 3), measured.ravel(), [0.0, -np.inf]
+    both, alone = lsq_linear(A[:, 1:], b, (low, np.inf)), lsq_linear(A[:, 1:2], b, (0.0, np.inf))
+    assert drop[0] == pytest.approx(2 * (alone.cost - both.cost), rel=1e-6)
+    assert step[0, 0] == pytest.approx(both.x[1], rel=1e-6)

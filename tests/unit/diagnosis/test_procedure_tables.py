@@ -33,6 +33,17 @@ def test_nothing_is_named_where_nothing_is_hidden(nothing_hidden):
     assert gain.after == gain.before == pytest.approx(gain.noise_floor, rel=0.2)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("effect", "seed", "n"),
+    [("contact_hardening", 700009, 24), ("friction_patch", 1700003, 100)],
+    ids=["which takes another k and b", "which the plain fit met with a k_v of zero"],
+)
+def test_a_cause_of_a_table_is_followed_that_is_slow_to_show(effect, seed, n, tmp_path):
+    one = Analysis(random_case(seed, effect, 10.0, kind="table", n=n), tmp_path)
+    assert [cause.id for cause in one.found.causes] == [effect]
+
+
 def test_a_wave_longer_than_two_ways_is_none(nothing_hidden):
     state = nothing_hidden.found.state
     data, plain = state.data, state.plain
