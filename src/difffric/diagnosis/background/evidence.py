@@ -32,11 +32,14 @@ _NONE_AT_ALL = 0.3
 """Prior probability that there is no background."""
 _USUAL = 0.5
 """The share up to which a background is usual: the scale of a half-Cauchy prior."""
-_SCATTERS = np.array([0.05, 0.2, 0.5, 0.75, 1.0, 1.4, 2.0, 3.0])
-"""Scatters of mu_s that are averaged over, as shares of the joint fit's: a drift that is not in the
-fit may be nearly all of it."""
-_WIDE_SCATTERS = np.array([0.01, 0.03, 0.1])
-"""Larger ones, for a fit with a cause without which mu_s scatters."""
+_SCATTERS = np.array([0.5, 0.75, 1.0, 1.4, 2.0, 3.0])
+"""Scatters of mu_s that are averaged over, as shares of the joint fit's."""
+_HIDING, _MUCH_LESS = 0.05, np.array([0.05, 0.2])
+"""The scatter from which on a drift that is not in the fit may be nearly all of it, and the shares of
+it that are looked at then."""
+_NONE, _MUCH_MORE = 1e-3, np.array([0.01, 0.03, 0.1])
+"""The scatter up to which there is none, as where a drift was freed, and those that a fit without
+that cause would have."""
 _RIDGE = 1e-10
 """What is added to a unit diagonal, so that sizes on which nothing depends have a solution."""
 _LARGEST = 2.0
@@ -344,8 +347,9 @@ def _list_scatters(task: EnsembleTask, scatter: float) -> NDArray:
     """The scatters of mu_s that there may be where a fit has this one."""
     if not (task.estimate_scatter and task.mu_free):
         return np.array([scatter])
-    near = scatter * _SCATTERS
-    return np.append(near, _WIDE_SCATTERS[_WIDE_SCATTERS > near[-1]])
+    less = scatter * _MUCH_LESS if scatter > _HIDING else np.zeros(0)
+    more = _MUCH_MORE if scatter < _NONE else np.zeros(0)
+    return np.concatenate([less, scatter * _SCATTERS, more])
 
 
 def _make_prior(background: bool) -> NDArray:
