@@ -35,8 +35,8 @@ _USUAL = 0.5
 _SCATTERS = np.array([0.5, 0.75, 1.0, 1.4, 2.0, 3.0])
 """Scatters of mu_s that are averaged over, as shares of the joint fit's."""
 _HIDING, _MUCH_LESS = 0.05, np.array([0.05, 0.2])
-"""The scatter from which on a drift that is not in the fit may be nearly all of it, and the shares of
-it that are looked at then."""
+"""The scatter from which on a drift that is not in the fit may be nearly all of it, and the shares
+of it that are looked at then."""
 _NONE, _MUCH_MORE = 1e-3, np.array([0.01, 0.03, 0.1])
 """The scatter up to which there is none, as where a drift was freed, and those that a fit without
 that cause would have."""
