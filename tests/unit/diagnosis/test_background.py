@@ -75,26 +75,12 @@ def compute_cost(slopes, measured, scatter: float, share: float, causes: list[in
     return float(left + np.linalg.slogdet(V)[1] + np.linalg.slogdet(X.T @ W @ X)[1])
 
 
-@pytest.mark.parametrize(
-    ("scatter", "least", "most"),
-    [(1e-6, 5e-7, 0.1), (0.02, 0.01, 0.06), (0.08, 0.004, 0.24)],
-    ids=["none", "usual", "so much that a drift may be it"],
-)
-def test_scatters_are_compared_as_far_as_a_drift_may_move_them(scatter, least, most):
-    task = draw(cause=0.0)[0]
-    scatters = evidence._list_scatters(task, scatter)
-    assert (scatters.min(), scatters.max()) == pytest.approx((least, most))
-    assert (np.diff(scatters) > 0).all() and scatter in scatters
-    known = replace(task, estimate_scatter=False)
-    assert evidence._list_scatters(known, scatter).tolist() == [scatter]
-
-
 @pytest.mark.parametrize("causes", [[0], [3], [0, 2], [1, 2, 4]])
 def test_sets_compare_as_the_dense_normal_distribution_says(causes):
     task, slopes, measured = draw(cause=1.0, background=0.1)
     found = weigh(task)
     assert found.excess == 1.0
-    scatter = evidence._list_scatters(task, found.at.scatter[0])
+    scatter = found.at.scatter[0] * evidence._SCATTERS
     shares, prior = np.append(0.0, evidence.SHARES), evidence._make_prior(True)
 
     def average(causes: list[int]) -> float:

@@ -30,15 +30,6 @@ def test_what_shows_and_changes_next_to_nothing_is_no_cause(tmp_path):
     assert found.as_dict()["remaining"] is None
 
 
-def test_a_drift_is_named_in_a_rig_that_scatters_by_nothing_but_the_drift(tmp_path):
-    one = Analysis(random_case(600005, "friction_drift"), tmp_path)
-    (cause,) = one.found.causes
-    assert one.case.scatter == 0 and cause.id == "friction_drift"
-    value, error = cause.parameters["drift"]
-    assert abs(value - one.case.effects["friction_drift"]["drift"]) < 4 * error
-    assert measure_friction_error(one) < 0.002
-
-
 @pytest.mark.slow
 def test_a_cause_is_named_whose_fit_is_surer_than_linear_answers_have_it(tmp_path):
     one = Analysis(random_case(1600018, "force_lowpass", 4.0), tmp_path)  # a push's mu_s moves

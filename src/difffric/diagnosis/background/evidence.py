@@ -34,12 +34,6 @@ _USUAL = 0.5
 """The share up to which a background is usual: the scale of a half-Cauchy prior."""
 _SCATTERS = np.array([0.5, 0.75, 1.0, 1.4, 2.0, 3.0])
 """Scatters of mu_s that are averaged over, as shares of the joint fit's."""
-_HIDING, _MUCH_LESS = 0.05, np.array([0.05, 0.2])
-"""The scatter from which on a drift that is not in the fit may be nearly all of it, and the shares
-of it that are looked at then."""
-_NONE, _MUCH_MORE = 1e-3, np.array([0.01, 0.03, 0.1])
-"""The scatter up to which there is none, as where a drift was freed, and those that a fit without
-that cause would have."""
 _RIDGE = 1e-10
 """What is added to a unit diagonal, so that sizes on which nothing depends have a solution."""
 _LARGEST = 2.0
@@ -134,7 +128,7 @@ class Evidence:
         self.known = self.gram.shape[1] - 1 - len(self.unit)
         self.items = _list_items(small, shapes)
         shares = np.append(0.0, SHARES) if background else np.zeros(1)
-        scatters = _list_scatters(task, float(at.scatter[0]))
+        scatters = at.scatter[0] * (_SCATTERS if task.estimate_scatter and task.mu_free else [1.0])
         prior = np.tile(_make_prior(background), len(scatters))
         self.excess = 1.0
         """by how much more than noise is left with all effects in the background"""
@@ -341,15 +335,6 @@ class Evidence:
 def sum_logs(x: Any, axis: int | None = None, b: Any = None) -> NDArray:
     """The logarithm of a sum of exponentials, each `b` times."""
     return np.asarray(logsumexp(x, axis=axis, b=b))
-
-
-def _list_scatters(task: EnsembleTask, scatter: float) -> NDArray:
-    """The scatters of mu_s that there may be where a fit has this one."""
-    if not (task.estimate_scatter and task.mu_free):
-        return np.array([scatter])
-    less = scatter * _MUCH_LESS if scatter > _HIDING else np.zeros(0)
-    more = _MUCH_MORE if scatter < _NONE else np.zeros(0)
-    return np.concatenate([less, scatter * _SCATTERS, more])
 
 
 def _make_prior(background: bool) -> NDArray:
