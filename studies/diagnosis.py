@@ -131,23 +131,23 @@ def _background(i, seed, share=0.0035, change: float | None = None, among=IN_REC
 
 GROUPS = {
     "clean": Group(1, 1000, lambda i, seed: random_case(seed)),
-    "clean tables": Group(2, 200, lambda i, seed: random_case(seed, kind=cases.TABLE, n=24)),
+    "clean tables": Group(2, 100, lambda i, seed: random_case(seed, kind=cases.TABLE, n=24)),
     "s = 6": Group(3, 240, _strong(6.0)),
     "s = 10": Group(4, 240, _strong(10.0)),
     "s = 30": Group(5, 60, _strong(30.0)),
     "typical": Group(6, 120, lambda i, seed: random_case(seed, _turn(IN_RECORDINGS, i))),
     "tables of 24": Group(7, 160, _strong(10.0, cases.TABLE, IN_TABLES, 24)),
-    "tables of 100": Group(17, 80, _strong(10.0, cases.TABLE, IN_TABLES, 100)),
-    "with nuisances": Group(8, 60, _counts, 0.005),
+    "tables of 100": Group(17, 40, _strong(10.0, cases.TABLE, IN_TABLES, 100)),
+    "with nuisances": Group(8, 30, _counts, 0.005),
     "pairs": Group(9, 200, _pair),
     "outsiders": Group(10, 150, _outsider),
-    "strong": Group(11, 60, _strong_misfit, 0.005),
+    "strong": Group(11, 30, _strong_misfit, 0.005),
     "background": Group(12, 1000, _background, 0.005),
-    "background, 3 %": Group(13, 200, partial(_background, change=0.03), 0.005),
-    "background, 1 %": Group(14, 200, partial(_background, change=0.01), 0.005),
-    "three times, 3 %": Group(15, 200, partial(_background, share=0.0105, change=0.03), 0.005),
+    "background, 3 %": Group(13, 100, partial(_background, change=0.03), 0.005),
+    "background, 1 %": Group(14, 100, partial(_background, change=0.01), 0.005),
+    "three times, 3 %": Group(15, 100, partial(_background, share=0.0105, change=0.03), 0.005),
     "outsiders, background": Group(
-        18, 60, partial(_background, change=0.03, among=tuple(OUTSIDERS)), 0.005
+        18, 24, partial(_background, change=0.03, among=tuple(OUTSIDERS)), 0.005
     ),
     "s = 4": Group(16, 240, _strong(4.0)),
 }
@@ -185,7 +185,9 @@ def run_case(group: str, i: int, keep: Path | None = None) -> dict:
     away = np.abs(np.array(told.pop("mu_s")) - truth)
     within = float(np.mean(away <= _NINETY_FIVE * np.array(told.pop("mu_s_standard_error"))))
     line |= {"mu_s_within": within, "mu_s_error": _measure_error(away / truth)}
-    return {**line, **told, "true_model": true_model(found, case)}
+    # Beside small effects of every kind, no model of the catalogue's one cause made the data.
+    true = None if case.nuisances else true_model(found, case)
+    return {**line, **told, "true_model": true}
 
 
 @contextmanager
