@@ -14,22 +14,24 @@ import numpy as np
 
 from difffric.compute.precision import require_float64
 from difffric.diagnosis.background.bristles import (
-    LIKE_BRISTLES,
     looks_like_bristles,
+    may_stand_for_bristles,
     search_beside_bristles,
+    weigh_bristles,
 )
 from difffric.diagnosis.background.cause_sets import compute_price
 from difffric.diagnosis.background.curve_comparison import compare_with_curves
-from difffric.diagnosis.background.curve_fit import NEARLY_ALL, fit_curve_for_causes
+from difffric.diagnosis.background.curve_fit import NEARLY_ALL, CurveFit, fit_curve_for_causes
 from difffric.diagnosis.background.evidence import PossibleCause
 from difffric.diagnosis.background.friction_estimate import average_over_sets, estimate_friction
-from difffric.diagnosis.background.joint_search import ARRIVED, MOST_EXCESS
+from difffric.diagnosis.background.joint_search import ARRIVED
 from difffric.diagnosis.background.naming import (
     BACKGROUND,
     USUAL_SHARE,
     choose_by_fits,
     choose_significant,
     compare_rivals,
+    find_unseen,
     fit_causes,
     fit_singles,
     list_outstanding,
@@ -38,6 +40,7 @@ from difffric.diagnosis.background.search import (
     BackgroundSearch,
     fit_beside_background,
     search_background,
+    search_beyond_edge,
 )
 from difffric.diagnosis.background.small_effects import UNIT_CHANGE
 from difffric.diagnosis.combinations.cause_rounds import CauseRounds
@@ -50,18 +53,18 @@ from difffric.diagnosis.inferred.changes import measure_changes
 from difffric.diagnosis.inferred.friction import DWELL_EFFECT
 from difffric.diagnosis.lack_of_fit import LackOfFit, is_misfit_large, measure_lack_of_fit
 from difffric.diagnosis.location import Location
-from difffric.diagnosis.score_test import SIGNIFICANT, Score, compute_p_value, run_score_tests
+from difffric.diagnosis.score_test import SIGNIFICANT, Score, run_score_tests
 from difffric.diagnosis.start import SearchStart, calibrate_plain, fit_plain_model, prepare_start
 from difffric.diagnosis.verdict import Diagnosis
 from difffric.errors import InputError, NumericalError
 from difffric.estimation.ensembles import ensemble, ensemble_refits
-from difffric.estimation.ensembles.ensemble import Fits
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.estimation.extended_model import PRESLIDING
 from difffric.known_so_far import tell_answer
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
 from difffric.progress import Tell, silent
-from difffric.rig.catalogue import CUTTING, numbers_of
+from difffric.rig.catalogue import numbers_of
 from difffric.rig.rig import Rig
 from difffric.rig.setup import Setup
 
@@ -74,8 +77,6 @@ _SURELY = 3.0
 change F_p or d to be a cause: where pushes are on an edge a little does so."""
 _FEWEST = 3
 """Pushes from which on one can be held out."""
-_LIKE_FRICTION = "normal_force"
-"""The effect that is one with mu_s where every push has the same mass."""
 _FAR_ABOVE = 20.0
 """How many times its price a cause is worth where the fit without it need not go to its end."""
 _ROUNDS_WITHOUT = 6
@@ -191,11 +192,10 @@ class _CauseSearch(CauseRounds):
         else:
             self.add_one_by_one()
         certificates = find_unreachable(self.start.data.measured, self.setup.rig)
-        if certificates and not self.named:  # what may mend the plain model is in question
-            question = tuple(c for c in self.considered if c.penalised_drop > 0)
-            if question:
-                self.named = [NamedCause(question[0], question, self.plain)]
-                self.base = question[0].fits
+        question = tuple(c for c in self.considered if c.penalised_drop > 0)
+        if certificates and question and not self.named:  # they may mend the plain model
+            self.named = [NamedCause(question[0], question, self.plain)]
+            self.base = question[0].fits
         causes = self._list_causes()
         slight = [one for one in self.named if one not in causes]
         return Findings(
@@ -219,7 +219,7 @@ class _CauseSearch(CauseRounds):
             explained=self.explained,
             curves=self.curves,
             outside=self.outside,
-            unseen=self._find_unseen(),
+            unseen=find_unseen(self.start.data, self.share),
             friction=self.friction,
         )
 
@@ -235,16 +235,8 @@ class _CauseSearch(CauseRounds):
         found = search_background(data, self.plain, self.start.guess, small, self.matters > 0)
         self.scores = run_score_tests(task, self.plain, small)
         self.visible |= {effect: score.visible for effect, score in self.scores.items()}
-        found, p_values, base = self._choose_causes(found)
-        without, curve, bristles = found.joint, None, None
-        if p_values or self.share > BACKGROUND:
-            self.tell("comparing with free curves", 0.6)
-            compared = compare_with_curves(data, found, tuple(p_values), self.plain, base)
-            # What a curve changes by less than matters is left, and is told as what is left.
-            self.explained = not compared.is_outside or compared.change < self.matters
-            self.curves = (compared.best,)
-            if self.share > BACKGROUND:
-                curve = fit_curve_for_causes(found, p_values, compared, self.lack.excess)
+        found, p_values, base, curve = self._weigh_causes(found)
+        without, bristles = found.joint, None
         sure = curve is not None and curve.share > NEARLY_ALL
         if PRESLIDING in wanted and not sure and self._is_poor(found, p_values, base):
             if self._add_bristles([base, found.joint]):
@@ -252,6 +244,11 @@ class _CauseSearch(CauseRounds):
             outside = self.explained is False and self.share > BACKGROUND
             if self.matters > 0 and (outside or looks_like_bristles(found)):
                 bristles = search_beside_bristles(found, self.plain)
+        rests = bristles is None and curve is None and self.matters > 0
+        if rests and (beyond := search_beyond_edge(found, self.start.guess)) is not None:
+            self._take_task(beyond.data.task)
+            found, p_values, base, curve = self._weigh_causes(beyond)
+        task = found.data.task
         if bristles is not None:
             found, p_values, base = self._choose_causes(bristles)
             self.explained = True
@@ -271,9 +268,8 @@ class _CauseSearch(CauseRounds):
                 self.plain, self.lack = bare, measure_lack_of_fit(task, bare)
         self.considered = fit_singles(task, self.plain, found)
         if share > BACKGROUND:
-            assumed, self.whole = fit_beside_background(data, found, items)
-            self.start = replace(self.start, data=replace(data, task=assumed))
-            self.validation = CrossValidation(assumed, self.validation.folds)
+            assumed, self.whole = fit_beside_background(found.data, found, items)
+            self._take_task(assumed)
         elif not items and found.evidence.excess < ARRIVED:
             self.friction = average_over_sets(found.evidence, base, found.sets)
         self._add_causes(found, p_values)
@@ -284,8 +280,31 @@ class _CauseSearch(CauseRounds):
             kept = tuple(item for item in items if item.effect in told)
             self.friction = estimate_friction(found.evidence, kept, USUAL_SHARE)
         if bristles is not None:
-            self._name_bristles(without)
+            one = weigh_bristles(self.start.data, self.whole or self.base, without)
+            self.named, self.considered = [*self.named, NamedCause(one, (one,), without)], [one]
         self.total = max(self.lack.excess, *(one.best.drop for one in self.named), 1.0)
+
+    def _weigh_causes(
+        self, found: BackgroundSearch
+    ) -> tuple[BackgroundSearch, dict[PossibleCause, float], Fits, CurveFit | None]:
+        """Do as `_choose_causes`, and return the curve too that explains more, if any."""
+        found, p_values, base = self._choose_causes(found)
+        curve, beside = None, self.share > BACKGROUND
+        self.explained, self.curves = None, ()
+        if p_values or beside:
+            self.tell("comparing with free curves", 0.6)
+            compared = compare_with_curves(found.data, found, tuple(p_values), self.plain, base)
+            # What a curve changes by less than matters is left, and is told as what is left.
+            self.explained = not compared.is_outside or compared.change < self.matters
+            self.curves = (compared.best,)
+            if beside:
+                curve = fit_curve_for_causes(found, p_values, compared, self.lack.excess)
+        return found, p_values, base, curve
+
+    def _take_task(self, task: EnsembleTask) -> None:
+        """Fit with another task from now on."""
+        self.start = replace(self.start, data=replace(self.start.data, task=task))
+        self.validation = CrossValidation(task, self.validation.folds)
 
     def _choose_causes(
         self, found: BackgroundSearch
@@ -309,10 +328,10 @@ class _CauseSearch(CauseRounds):
         self, found: BackgroundSearch, items: Collection[PossibleCause], base: Fits
     ) -> bool:
         """Whether the causes that were chosen leave room for bristles, or may stand for them."""
-        poor = found.evidence.excess > MOST_EXCESS or self.explained is False or len(items) > 1
-        poor |= any(item.effect in LIKE_BRISTLES for item in items)
+        if self.explained is False or may_stand_for_bristles(found, items):
+            return True
         nothing = not items and self.share <= BACKGROUND
-        return poor or (nothing and not self.validation.is_at_floor(base))
+        return nothing and not self.validation.is_at_floor(base)
 
     def _add_causes(self, found: BackgroundSearch, p_values: Mapping[PossibleCause, float]) -> None:
         """Add causes with their p-values, but for those without which the fit is as good."""
@@ -356,27 +375,11 @@ class _CauseSearch(CauseRounds):
         self.total, self.explained = max(self.lack.excess, one.drop), True
         return True
 
-    def _name_bristles(self, without: Fits) -> None:
-        """Name the bristles that are in the model; `without` is the joint fit that has none."""
-        task, whole = self.start.data.task, self.whole or self.base
-        value = ensemble.criterion(task, ensemble.join(without, whole))
-        drop = float(value[0] - value[1])
-        p_value = compute_p_value(PRESLIDING, drop, len(self.start.data.looked_for))
-        price = len(numbers_of(PRESLIDING)) * task.price
-        one = CandidateCause(PRESLIDING, whole, drop, 0.0, p_value, drop - price)
-        self.named.append(NamedCause(one, (one,), without))
-        self.considered = [one]
-
     def _leads_astray(self, fits: Fits) -> bool:
         """Whether held-out pushes speak against `fits` by more than these explain."""
         task, foresee = self.start.data.task, self.validation.measure_surprise
         value = ensemble.criterion(task, ensemble.join(self.plain, fits))
         return foresee(fits) - foresee(self.plain) > float(value[0] - value[1])
-
-    def _find_unseen(self) -> float:
-        """Return by how much a small effect that is one with mu_s changes it, relatively."""
-        share = max(self.share, USUAL_SHARE) if self.share > BACKGROUND else self.share
-        return share * UNIT_CHANGE if _LIKE_FRICTION in self.start.data.impossible else 0.0
 
     def _does_matter(self, one: NamedCause, at: Fits) -> bool:
         """Whether an effect of the fit `at` changes as much as matters, and is unusual."""
@@ -384,9 +387,7 @@ class _CauseSearch(CauseRounds):
         usual = one.best.effect in self.usual
         if usual or self.share > BACKGROUND:  # mu_s moves by what others do in its place
             small = _SURELY * max(self.share, USUAL_SHARE) * UNIT_CHANGE if usual else 0.0
-            most = usual or one.best.effect in CUTTING
-            read = changes.of_most if most else max(changes.peak_force, changes.sliding_distance)
-            return read >= max(small, self.matters)
+            return changes.count_reading(one.best.effect, usual) >= max(small, self.matters)
         return changes.as_mu_s >= self.matters
 
     def _leave_out(self, base: Fits, *effects: str, enough: float = np.inf) -> Fits:
@@ -396,5 +397,4 @@ class _CauseSearch(CauseRounds):
             return base
         task = self.start.data.task
         gone = [task.model.coordinates.indices(numbers_of(effect)) for effect in effects]
-        rounds = _ROUNDS_WITHOUT
-        return ensemble_refits.refit_without(task, base, self.plain, gone, rounds, enough)
+        return ensemble_refits.refit_without(task, base, self.plain, gone, _ROUNDS_WITHOUT, enough)

@@ -47,8 +47,6 @@ _FIRST = slice(1, 4)
 """Of the pushes by how far they reach, those that begin: not the slowest, which take longest."""
 _WAYS = 2.0
 """A wave is no longer than so many of the longest ways."""
-_NEAREST = 0.04
-"""The first place that is looked at, as a share of the shortest way."""
 _PLACES = 14
 """Places within the shortest way, and again as many beyond it."""
 
@@ -66,18 +64,20 @@ def scan_shapes(
     names = [f"{effect}.amplitude", f"{effect}.{key}"]
     names += [] if phase is None else [f"{effect}.{phase}"]
     index = task.model.coordinates.indices(names)
-    way = scales.ways if effect != "pusher_ripple" else np.full(task.n, scales.travel)
-    scan = _scan_places if phase is None else _scan_waves
-    drop, starts = scan(task, base, index, way, some, far)
+    if phase is None:
+        drop, starts = _scan_places(task, base, index, scales, some, far)
+    else:
+        way = scales.ways if effect != "pusher_ripple" else np.full(task.n, scales.travel)
+        drop, starts = _scan_waves(task, base, index, way, some, far)
     return starts.pick(_find_peaks(drop)[:_STARTS])
 
 
 def _scan_places(
-    task: EnsembleTask, base: Fits, index: Sequence[int], way: NDArray, some: NDArray, far: bool
+    task: EnsembleTask, base: Fits, index: Sequence[int], scales: Scales, some: NDArray, far: bool
 ) -> tuple[NDArray, Fits]:
-    """Score places [m] along the way (n,) of the pushes; see `_score_shapes`."""
-    low, high = np.min(way), np.max(way)
-    places = np.linspace(_NEAREST, 1.0, _PLACES) * low
+    """Score places [m] along the pushes' ways; see `_score_shapes`."""
+    low, high = np.min(scales.ways), np.max(scales.ways)
+    places = np.linspace(scales.first_place, low, _PLACES)
     places = np.append(places, np.linspace(low, high, _PLACES)[1:-1])
     return _score_shapes(task, base, index, places, some, far)
 

@@ -47,6 +47,8 @@ class Coordinates:
     """the law's own number at 0"""
     unit: tuple[float, ...]
     """the step of the law's own number that a step of 1 makes"""
+    lowest: tuple[tuple[str, float], ...] = ()
+    """names whose values [SI] the data let be no lower, and how low"""
 
     @classmethod
     def of(cls, rig: Rig) -> Coordinates:
@@ -145,7 +147,8 @@ class Coordinates:
         if key.inverse:
             return 0.0, np.inf
         i = self.index(name)
-        ends = [(x - self.null[i]) / self.unit[i] for x in (key.lower, key.upper)]
+        lower = dict(self.lowest).get(name, key.lower)
+        ends = [(x - self.null[i]) / self.unit[i] for x in (lower, key.upper)]
         return min(ends), max(ends)
 
     def rig(self, rig: Rig, c: Any, given: Mapping[str, Any], stroke: Any) -> Rig:
@@ -186,12 +189,13 @@ class Coordinates:
         def of(column: tuple) -> tuple:
             return tuple(compress(column, keep))
 
-        return Coordinates(of(self.names), of(self.null), of(self.unit))
+        return Coordinates(of(self.names), of(self.null), of(self.unit), self.lowest)
 
     def with_forms(self) -> Coordinates:
         """The coordinates with the coefficients of all free forms behind them."""
         none = (0.0,) * len(FORMED)
-        return Coordinates((*self.names, *FORMED), (*self.null, *none), (*self.unit, *none))
+        null, unit = (*self.null, *none), (*self.unit, *none)
+        return Coordinates((*self.names, *FORMED), null, unit, self.lowest)
 
 
 def _to_polar(sine: Array, cosine: Array) -> tuple[Array, Array]:

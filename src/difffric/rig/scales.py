@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 from numpy.typing import NDArray
+
+_FIRST_PLACE = 0.04
+"""The first place on the rails that counts as one, as a share of the shortest way."""
 
 
 @dataclass(frozen=True)
@@ -28,3 +32,9 @@ class Scales:
     """(n,) how far the part gets in each push, about [m]"""
     tips: NDArray
     """(n,) how far the tip goes in each until contact is lost, about [m]"""
+
+    @property
+    def first_place(self) -> float:
+        """The first place [m] where friction may change: if it did so where the part hardly moves
+        yet, nearly all that slides would be beyond it, which is another mu_s."""
+        return _FIRST_PLACE * float(np.min(self.ways))

@@ -22,10 +22,11 @@ def make_end(place: float, *effects: str, excess: float = 1.0) -> Any:
     """Where a search ended: with a patch from `place` on, and `effects` as its best set."""
     coordinates = SimpleNamespace(values=lambda c, names: np.array([place]))
     task = SimpleNamespace(model=SimpleNamespace(coordinates=coordinates))
-    data = SimpleNamespace(task=task, scales=SimpleNamespace(ways=np.array([WAY, 3 * WAY])))
+    data = SimpleNamespace(task=task, scales=SimpleNamespace(first_place=0.04 * WAY))
     return SimpleNamespace(
         data=data,
         joint=SimpleNamespace(c=np.zeros((1, 1))),
+        shaped=("friction_patch",),
         best=SimpleNamespace(effects=frozenset(effects)),
         evidence=SimpleNamespace(excess=excess),
     )

@@ -7,27 +7,34 @@ fit is begun anew with bristles of each stiffness in place of what they are take
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
 
-from difffric.diagnosis.background.columns.shape_columns import NEAREST
+from difffric.diagnosis.background.columns.shape_columns import PATCH
+from difffric.diagnosis.background.evidence import PossibleCause
 from difffric.diagnosis.background.joint_fit import WIDE, follow_leaders, measure_left
 from difffric.diagnosis.background.joint_search import MOST_EXCESS, JointSearch
-from difffric.diagnosis.background.search import BackgroundSearch, search_from
+from difffric.diagnosis.background.search import (
+    BackgroundSearch,
+    begins_at_edge,
+    rate_search,
+    search_from,
+)
 from difffric.diagnosis.background.shape_grid import leave_out
-from difffric.diagnosis.data import choose_subset, move_unseen
+from difffric.diagnosis.data import DiagnosisData, choose_subset, move_unseen
+from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.lack_of_fit import is_misfit_large
+from difffric.diagnosis.score_test import compute_p_value
 from difffric.diagnosis.starting_values import list_starting_values
 from difffric.estimation.ensembles import ensemble, ensemble_refits, friction_scan
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.estimation.extended_model import PRESLIDING
 from difffric.rig.catalogue import CUTTING, numbers_of
 
-LIKE_BRISTLES = ("friction_patch", "friction_ratio", "friction_waviness")
+LIKE_BRISTLES = (PATCH, "friction_ratio", "friction_waviness")
 """Effects that bristles are taken for."""
-_PLACE = "friction_patch.start_m"
-"""Where a patch begins."""
 _SCANS = 2
 """How often the pushes' own mu_s are looked for beside each stiffness: where a patch stood for
 bristles mu_s was half of what it is."""
@@ -46,9 +53,13 @@ def looks_like_bristles(found: BackgroundSearch) -> bool:
     """Whether a search ended poorly, or with a patch that begins where a push does."""
     if found.evidence.excess > MOST_EXCESS:
         return True
-    (place,) = found.data.task.model.coordinates.values(found.joint.c[0], (_PLACE,))
-    at_edge = place < NEAREST * float(np.min(found.data.scales.ways))
-    return at_edge and _PLACE.partition(".")[0] in found.best.effects
+    return begins_at_edge(found) and PATCH in found.best.effects
+
+
+def may_stand_for_bristles(found: BackgroundSearch, items: Collection[PossibleCause]) -> bool:
+    """Whether a search ended poorly, or with several causes or one that bristles are taken for."""
+    poor = found.evidence.excess > MOST_EXCESS or len(items) > 1
+    return poor or any(item.effect in LIKE_BRISTLES for item in items)
 
 
 def search_beside_bristles(before: BackgroundSearch, plain: Fits) -> BackgroundSearch | None:
@@ -69,18 +80,19 @@ def search_beside_bristles(before: BackgroundSearch, plain: Fits) -> BackgroundS
     search = JointSearch(data, before.effects, True, small, start, joint, shaped)
     found = search_from(search)
     more = len(found.joint.extra[0]) - len(before.joint.extra[0])
-    if _rate(before) - _rate(found) <= data.task.price * max(more, len(index)):
+    if rate_search(before) - rate_search(found) <= data.task.price * max(more, len(index)):
         return None
     return None if is_misfit_large(data.task, found.joint) else found
 
 
-def _rate(found: BackgroundSearch) -> float:
-    """-2 log likelihood where a search ended: its causes have any size, the other small effects
-    hardly hold it back."""
-    causes = {item.columns[0] for item in found.best.items if item.shape is None}
-    free = {found.small.index[k] for k in causes}
-    task = found.small.assume(found.data.task, WIDE, free)
-    return float(ensemble.criterion(task, found.joint)[0])
+def weigh_bristles(data: DiagnosisData, whole: Fits, without: Fits) -> CandidateCause:
+    """Return bristles as a cause of what the fit `whole` has them for, and what they explain more
+    than the joint fit `without` them (both ensembles of one)."""
+    value = ensemble.criterion(data.task, ensemble.join(without, whole))
+    drop = float(value[0] - value[1])
+    p_value = compute_p_value(PRESLIDING, drop, len(data.looked_for))
+    price = len(numbers_of(PRESLIDING)) * data.task.price
+    return CandidateCause(PRESLIDING, whole, drop, 0.0, p_value, drop - price)
 
 
 def _fit_bristles(before: BackgroundSearch, plain: Fits) -> tuple[Fits, tuple[str, ...]] | None:

@@ -18,7 +18,9 @@ from difffric.diagnosis.background.evidence import Evidence, PossibleCause
 from difffric.diagnosis.background.joint_fit import measure_left
 from difffric.diagnosis.background.placement import predict_start, put_shape, put_small
 from difffric.diagnosis.background.search import BackgroundSearch
+from difffric.diagnosis.background.small_effects import UNIT_CHANGE
 from difffric.diagnosis.conclusion import ALIKE
+from difffric.diagnosis.data import DiagnosisData
 from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.score_test import compute_p_value, count_looks
 from difffric.estimation.ensembles import ensemble, ensemble_refits
@@ -33,6 +35,8 @@ UNUSUAL = 0.01
 noise alone makes has to be much less probable, as one looks at clean rigs again and again."""
 BACKGROUND = 0.05
 """Share of their units up to which small effects are none."""
+_LIKE_FRICTION = "normal_force"
+"""The effect that is one with mu_s where every push has the same mass."""
 _HARDLY_TOLD = 5.0
 """Difference of two sets' scores from which on a linear comparison is believed."""
 _DOUBTED, _DOUBTED_MOST = 20.0, 3
@@ -50,6 +54,13 @@ _NO_BACKGROUND = 1e-6
 _BETTER = 1.05
 """How many times as much as the joint fit the plain one leaves, where that stands at a poor place.
 """
+
+
+def find_unseen(data: DiagnosisData, share: float) -> float:
+    """Find by how much a small effect that is one with mu_s changes it, relatively, where small
+    effects scatter by `share` of their units."""
+    share = max(share, USUAL_SHARE) if share > BACKGROUND else share
+    return share * UNIT_CHANGE if _LIKE_FRICTION in data.impossible else 0.0
 
 
 def choose_by_fits(task: EnsembleTask, plain: Fits, search: BackgroundSearch) -> BackgroundSearch:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from difffric.diagnosis.background.cause_sets import CauseSet, find_set, search_sets
-from difffric.diagnosis.background.columns.shape_columns import limit_waves
+from difffric.diagnosis.background.columns.shape_columns import PATCH, limit_waves
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
 from difffric.diagnosis.background.growing_horizon import (
     AT_EACH_HORIZON,
@@ -49,6 +49,8 @@ _COMPARISONS = 3
 _MOST_AT_A_HORIZON, _HARDLY_LESS = 6, 0.97
 """How often shapes are placed at a horizon at most, and the share of squares down to which that is
 hardly any use."""
+_PLACE = f"{PATCH}.start_m"
+"""Where a patch begins."""
 _MOVED = 0.3
 """Share of a size that one may meet by which a fit moves an effect far."""
 
@@ -98,6 +100,39 @@ def search_background(
         grown = _search_with_growing_horizon(search, replace(guess, extra=plain.extra))
         search = min(search, grown, key=_rate_joint)
     return search_from(search)
+
+
+def begins_at_edge(found: BackgroundSearch) -> bool:
+    """Whether the joint fit has a patch that begins where the pushes do."""
+    (place,) = found.data.task.model.coordinates.values(found.joint.c[0], (_PLACE,))
+    return PATCH in found.shaped and place < found.data.scales.first_place
+
+
+def search_beyond_edge(before: BackgroundSearch, guess: Fits) -> BackgroundSearch | None:
+    """Return the search done anew with no patch where the pushes begin, if the search `before`
+    ended with one and the data are explained as well; `guess` as in `search_background`.
+
+    A patch that nearly all of a push is beyond is another mu_s, but for what sticks at the first
+    touch: it takes the place of what was not found, and mu_s with it.
+    """
+    if not begins_at_edge(before):
+        return None
+    data = before.data
+    model, coordinates = data.task.model, data.task.model.coordinates
+    coordinates = replace(coordinates, lowest=((_PLACE, data.scales.first_place),))
+    task = replace(data.task, model=replace(model, coordinates=coordinates))
+    beyond = replace(data, task=task)
+    found = search_background(beyond, before.plain, guess, before.effects, True)
+    return found if rate_search(found) < rate_search(before) + task.price else None
+
+
+def rate_search(found: BackgroundSearch) -> float:
+    """-2 log likelihood where a search ended: its causes have any size, the other small effects
+    hardly hold it back."""
+    causes = {item.columns[0] for item in found.best.items if item.shape is None}
+    free = {found.small.index[k] for k in causes}
+    task = found.small.assume(found.data.task, WIDE, free)
+    return float(ensemble.criterion(task, found.joint)[0])
 
 
 def _rate_joint(search: JointSearch) -> float:

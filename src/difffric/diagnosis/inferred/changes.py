@@ -41,6 +41,12 @@ class Changes:
     """the larger of those of F_p and d, without the push that changes most; half of that for an
     effect that cuts pushes short"""
 
+    def count_reading(self, effect: str, usual: bool) -> float:
+        """The change of F_p or d that counts beside small effects: without the push that changes
+        most for an `effect` that may be one of them (`usual`), or that cuts pushes short."""
+        most = usual or effect in CUTTING
+        return self.of_most if most else max(self.peak_force, self.sliding_distance)
+
 
 class ReadingChanges(NamedTuple):
     """By what F_p and d are others, rms over the pushes."""

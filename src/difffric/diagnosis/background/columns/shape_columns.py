@@ -20,8 +20,8 @@ from difffric.rig.catalogue import CATALOGUE, numbers_of
 from difffric.rig.scales import Scales
 
 WAVES: dict[str, str] = {"friction_waviness": "wavelength_m", "pusher_ripple": "period_m"}
-_PATCH = "friction_patch"
-MOVABLE = (*WAVES, _PATCH)
+PATCH = "friction_patch"
+MOVABLE = (*WAVES, PATCH)
 """Effects whose shape lies somewhere on an axis: a length, a place."""
 _SIZED = ("stribeck", "force_saturation", "pusher_duration", "pusher_lag")
 """Effects whose one number has no derivative at its null, or none that steps of finite length find:
@@ -43,8 +43,6 @@ _PLACES = 14
 """Places within the shortest way, and again as many beyond it."""
 _BESIDE, _NEARBY = 0.7, 9
 """How far beside a shape nearer ones are looked for, in steps of the grid, and how many."""
-NEAREST = 0.04
-"""The first place, as a share of the shortest way."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +116,7 @@ def list_shapes(task: EnsembleTask, effects: Sequence[str], scales: Scales) -> l
     """List the shapes of those of the `effects` that have any, but for waves."""
     coordinates, found = task.model.coordinates, []
     for effect in effects:
-        if effect == _PATCH:
+        if effect == PATCH:
             found += _list_patches(task, scales)
         elif effect in _SIZED:
             for value in list_starting_values(effect, scales):
@@ -207,14 +205,14 @@ def list_waves(task: EnsembleTask, effect: str, turns: NDArray) -> list[Shape]:
 def _list_patches(task: EnsembleTask, scales: Scales) -> Iterator[Shape]:
     """Yield patches that begin at places along the pushes' ways."""
     coordinates = task.model.coordinates
-    amplitude, start = coordinates.indices(numbers_of(_PATCH))
+    amplitude, start = coordinates.indices(numbers_of(PATCH))
     low, high = np.min(scales.ways), np.max(scales.ways)
-    places = np.linspace(NEAREST, 1.0, _PLACES) * low
-    size, typical = _OF_PATCH / coordinates.unit[amplitude], _find_typical(_PATCH)
+    places = np.linspace(scales.first_place, low, _PLACES)
+    size, typical = _OF_PATCH / coordinates.unit[amplitude], _find_typical(PATCH)
     for place in np.append(places, np.linspace(low, high, _PLACES)[1:-1]):
         ends = place + np.array([0.0, -_BESIDE, _BESIDE]) * low / _PLACES
         at, *near = (ends - coordinates.null[start]) / coordinates.unit[start]
-        yield Shape(_PATCH, ({amplitude: size, start: at},), _OF_PATCH, typical, start, tuple(near))
+        yield Shape(PATCH, ({amplitude: size, start: at},), _OF_PATCH, typical, start, tuple(near))
 
 
 def _find_typical(effect: str) -> float:
