@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from difffric.diagnosis.background import bristles, joint_search
+from difffric.diagnosis.background import joint_search
 from difffric.diagnosis.background import search as background_search
 from difffric.diagnosis.background.cause_sets import find_set
 from difffric.diagnosis.background.joint_fit import WIDE, measure_left
@@ -173,7 +173,8 @@ def test_no_cause_is_held_back_where_two_searches_are_compared():
     search = make_joint(0, tilt=1.5, gain=0.0, unseen=0.0)
     tilted = end_with(search, "tilt", {TILT: 1.5})
     none = replace(tilted, sets=(find_set(tilted.evidence, ()),))
-    assert bristles._rate(none) - bristles._rate(tilted) == pytest.approx(25.0, abs=0.5)
+    rate = background_search.rate_search
+    assert rate(none) - rate(tilted) == pytest.approx(25.0, abs=0.5)
 
 
 def test_what_cuts_pushes_short_is_never_taken_out_to_place_shapes_anew(monkeypatch):
