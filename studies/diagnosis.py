@@ -185,7 +185,7 @@ def run_case(group: str, i: int, keep: Path | None = None) -> dict:
     away = np.abs(np.array(told.pop("mu_s")) - truth)
     within = float(np.mean(away <= _NINETY_FIVE * np.array(told.pop("mu_s_standard_error"))))
     line |= {"mu_s_within": within, "mu_s_error": _measure_error(away / truth)}
-    # Beside small effects of every kind, no model of the catalogue's one cause made the data.
+    # Beside small effects of every kind it is no true model that has the one cause alone.
     true = None if case.nuisances else true_model(found, case)
     return {**line, **told, "true_model": true}
 

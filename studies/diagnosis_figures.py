@@ -184,20 +184,20 @@ def hidden_rows(lines: Sequence[dict]) -> list[tuple[str, str]]:
     local = [x for x in lines if not set(x["effects"]) & set(SCANNED)]
     scanned = [x for x in lines if set(x["effects"]) & set(SCANNED)]
     named = [x for x in lines if x["causes"]]
+    sizes = [len(sets(x)[0]) for x in named]
+    size = [("median size of the first set", f"{np.median(sizes):.0f}")] if named else []
     rows = [
         ("first set holds the truth, effects with a score test", str(share(local, first_right))),
         ("the same, effects that are scanned", str(share(scanned, first_right))),
         *_oracle_rows(lines, local, scanned),
         ("the truth in the first set, of those that name any", str(share(named, first_right))),
         ("a cause that stands for nothing hidden", str(share(lines, spurious))),
+        *size,
         ("falsely `unexplained`", str(share(lines, is_unexplained))),
         ("within three standard errors of the true size", str(_flat(lines, sized))),
         ("the right sign of the effect", str(_flat(lines, signed))),
         interval_row(lines),
     ]
-    if named:
-        size = np.median([len(sets(x)[0]) for x in named])
-        rows.insert(-4, ("median size of the first set", f"{size:.0f}"))
     return rows + gain_rows(lines)
 
 
