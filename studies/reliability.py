@@ -19,7 +19,7 @@ def tabulate(lines: Sequence[dict]) -> list[str]:
     p = np.array([x["causes"][0]["probability"] for x in there])
     right = np.array([x["causes"][0]["id"] in x["effects"] for x in there])
     out = ["| stated | cases | mean stated | right |", "| --- | --- | --- | --- |"]
-    for low, high in pairwise(BINS):
+    for i, (low, high) in enumerate(pairwise(BINS)):
         mine = (p > low) & (p <= high)
         if mine.any():
             out.append(
@@ -62,8 +62,9 @@ def draw(lines: Sequence[dict], path: Path) -> None:
             )
             axes.plot([at, at], limits, color="C0")
             axes.plot(at, k / n, "o", color="C0")
+            beside = (-6, 4 if i % 2 else -12)  # the last two bins are close together
             axes.annotate(
-                f"{n}", (at, k / n), xytext=(-6, 4), textcoords="offset points", ha="right"
+                f"{n}", (at, k / n), xytext=beside, textcoords="offset points", ha="right"
             )
     axes.set_xlabel("probability stated of the first cause")
     axes.set_ylabel("share in which it was the truth")
