@@ -19,7 +19,7 @@ def tabulate(lines: Sequence[dict]) -> list[str]:
     p = np.array([x["causes"][0]["probability"] for x in there])
     right = np.array([x["causes"][0]["id"] in x["effects"] for x in there])
     out = ["| stated | cases | mean stated | right |", "| --- | --- | --- | --- |"]
-    for i, (low, high) in enumerate(pairwise(BINS)):
+    for low, high in pairwise(BINS):
         mine = (p > low) & (p <= high)
         if mine.any():
             out.append(
@@ -53,7 +53,7 @@ def draw(lines: Sequence[dict], path: Path) -> None:
     right = np.array([x["causes"][0]["id"] in x["effects"] for x in lines])
     axes = (figure := Figure(figsize=(5, 5), layout="constrained")).add_subplot()
     axes.plot([0, 1], [0, 1], color="0.6", lw=1)
-    for low, high in pairwise(BINS):
+    for i, (low, high) in enumerate(pairwise(BINS)):
         mine = (p > low) & (p <= high)
         if n := int(mine.sum()):
             k, at = int(right[mine].sum()), p[mine].mean()
