@@ -20,9 +20,9 @@ from difffric.diagnosis.inferred.friction import (
     find_friction,
 )
 from difffric.diagnosis.lack_of_fit import LackOfFit, is_misfit_large, measure_lack_of_fit
-from difffric.diagnosis.location import Location, locate
+from difffric.diagnosis.location import Location, locate, settle_location
 from difffric.diagnosis.misfit import Misfit, describe_remaining, measure_misfits
-from difffric.diagnosis.next_experiment import Experiment, Pair, plan_experiments
+from difffric.diagnosis.next_experiment import Experiment, Pair, hide_effects, plan_experiments
 from difffric.diagnosis.score_test import SIGNIFICANT, Score
 from difffric.diagnosis.verdict import (
     ADEQUATE,
@@ -35,11 +35,10 @@ from difffric.diagnosis.verdict import (
     HeldOutGain,
     describe_cause,
 )
-from difffric.estimation.ensembles import ensemble, ensemble_refits
+from difffric.estimation.ensembles import ensemble
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.estimation.stacked_data import SLIDES
 from difffric.progress import Tell
-from difffric.rig.catalogue import KEYS, RATIO, numbers_of
 from difffric.rig.free_form import FORMS
 from difffric.rig.setup import Setup
 
@@ -67,10 +66,6 @@ _VISIBLE = 3.0
 """Standard deviations at its typical size from which an effect can be seen."""
 _SAME = 0.01
 """Relative difference of the mean mu_s up to which two plain fits are the same."""
-_HIDING = 6
-"""Steps in which the plain model takes up what an invisible effect does."""
-_TYPICAL_RATIO = 0.8
-"""The mu_k / mu_s that stands for this effect's typical size, of which the catalogue has none."""
 
 
 @dataclass(frozen=True)
@@ -151,6 +146,12 @@ class Findings:
         return self.total or max(self.lack.excess, 1.0)
 
     @cached_property
+    def drop(self) -> float:
+        """By how much `whole` lowers -2 log likelihood."""
+        at = (ensemble.criterion(self.data.task, fits)[0] for fits in (self.plain, self.whole))
+        return float(np.subtract(*at))
+
+    @cached_property
     def plain_surprise(self) -> float:
         """-2 log likelihood of the held-out pushes without a cause."""
         return self.validation.measure_surprise(self.plain)
@@ -179,6 +180,7 @@ def conclude(found: Findings, tell: Tell) -> Diagnosis:
     location = _locate_unexplained(found, after, arrived, tell)
     misfit = measure_misfits(found.data, plain, whole)
     if location is not None:
+        location = settle_location(task, plain, location, found.data.scales)
         causes, slight, extended, whole = (), (), plain, plain
         gain = replace(gain, after=gain.before)
         misfit = measure_misfits(found.data, plain, plain)
@@ -186,7 +188,7 @@ def conclude(found: Findings, tell: Tell) -> Diagnosis:
     unseen = _list_invisible(found, causes)
     ambiguous = causes if verdict == AMBIGUOUS else ()
     rig = extend_rig(strip_effects(found.setup)[0].rig, task, extended)
-    friction, errors = _infer_friction(found, whole, location is None)
+    friction, errors = _infer_friction(found, whole, location)
     errors = np.hypot(errors, _measure_ambiguity(task, causes))
     return Diagnosis(
         verdict=verdict,
@@ -222,18 +224,22 @@ def conclude(found: Findings, tell: Tell) -> Diagnosis:
     )
 
 
-def _infer_friction(found: Findings, at: Fits, explained: bool) -> tuple[np.ndarray, np.ndarray]:
+def _infer_friction(
+    found: Findings, at: Fits, location: Location | None
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the log mu_s (n,) of the pushes and their standard errors (n,), where the fit `at` (an
-    ensemble of one) is what the diagnosis says, and the misfit is `explained` or not; small effects
-    beside a plain model that leaves far more than they do say more of mu_s than that alone."""
-    task = found.data.task
+    ensemble of one) is what the diagnosis says, with the misfit at a `location` or at none.
+
+    What explains more says more of mu_s: a curve there, or small effects beside a plain model that
+    leaves far more than they do."""
+    task, told = found.data.task, found.friction
     left = [measure_lack_of_fit(task, fits).chi2.sum() for fits in (found.plain, found.whole)]
     if left[0] > _FAR_MORE * max(left[1], task.counts.sum()):
         at = found.whole
-    if found.friction is not None and (explained or found.outside or at is not found.plain):
-        friction, errors = found.friction
-        if np.isfinite(found.friction).all():
-            return friction, np.hypot(errors, found.unseen)
+    if location is not None and (at is found.plain or location.penalised_drop > found.drop):
+        told = location.friction
+    if told is not None and np.isfinite(told).all():
+        return told[0], np.hypot(told[1], found.unseen)
     named = {one.best.effect for one in found.causes}
     known = {name.partition(".")[0] for name in strip_effects(found.setup)[1]}
     grown = DWELL_EFFECT in named | known
@@ -307,7 +313,7 @@ def _locate_unexplained(
         return found.outside
     left = 0.0 if arrived else float(np.sqrt(max(after.excess, 0.0) / found.scale))
     nothing = not found.causes and not arrived
-    drop = float(ensemble.criterion(task, plain)[0] - ensemble.criterion(task, whole)[0])
+    drop = found.drop
     if found.explained:
         much = left > _MUCH and after.excess > _SURELY * np.sqrt(2 * after.expected)
         if not much:
@@ -375,20 +381,8 @@ def _plan_experiments(
         for other in one.others
         if other.effect in one.alike
     ]
-    coordinates, there = task.model.coordinates, []
-    effects = [e for e in unseen if e not in found.data.impossible]
-    for effect in effects:
-        c = extended.c.copy()
-        names = numbers_of(effect)
-        typical = {n: _TYPICAL_RATIO if effect == RATIO else KEYS[n][1].typical for n in names}
-        c[0, coordinates.indices(names)] = coordinates.point(typical)
-        there.append(replace(extended, c=c, gram=None, residual=None, damping=None))
-    if there:
-        # As large as is typical, and hidden in these data by what else is free.
-        hidden = ensemble_refits.refit(task, ensemble.join(*there), _HIDING)
-        models = ((effect, hidden.pick(j)) for j, effect in enumerate(effects))
-        pairs += [Pair((effect, "plain"), one, extended) for effect, one in models]
-    return plan_experiments(found.data, pairs)
+    hidden = [effect for effect in unseen if effect not in found.data.impossible]
+    return plan_experiments(found.data, [*pairs, *hide_effects(task, extended, hidden)])
 
 
 def _note_plain_fit(found: Findings) -> list[str]:

@@ -1,4 +1,8 @@
-"""Where a misfit sits that no effect explains: each component in turn with a free-form curve."""
+"""Where a misfit sits that no effect explains: each component in turn with a free-form curve.
+
+Loose curves are compared, as no one knows how large they are; the one that is told is as large as
+the data make probable.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from difffric.diagnosis.data import choose_subset
+from difffric.diagnosis.inferred.curve_size import fit_to_size, measure_open
+from difffric.diagnosis.inferred.friction import (
+    compute_friction_errors,
+    find_friction,
+    measure_excess,
+)
 from difffric.estimation.ensembles import ensemble, ensemble_refits
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.rig import free_form
@@ -26,6 +36,9 @@ _ROUNDS = 12
 """Steps at most of a leading form's fit to all pushes."""
 _LEADERS = 2
 """Forms that are fitted to all pushes."""
+_AS_MUCH = 0.9
+"""Share of what a loose curve explains from which on one of the most probable size stands for it.
+"""
 
 
 @dataclass(frozen=True)
@@ -48,6 +61,9 @@ class Location:
     """form -> share of the excess of chi-square that it explains"""
     penalised_drop: float
     """of -2 log likelihood, less what so many numbers would buy in any case"""
+    friction: tuple[NDArray, NDArray] | None = None
+    """log mu_s (n,) of the pushes beside the correction, and their standard errors; None: not
+    asked for yet"""
 
     def as_dict(self) -> dict[str, Any]:
         """As `result.json` holds it."""
@@ -112,6 +128,35 @@ def locate(
     return make_location(wide, at.pick([best]), name, scales, shares, worth)
 
 
+def settle_location(
+    task: EnsembleTask, plain: Fits, location: Location, scales: Scales
+) -> Location:
+    """Return the `location` that is told, its curve fitted on from the plain fit (an ensemble of
+    one) and as large as the data make probable, with the mu_s of the pushes beside it.
+
+    Where that explains less than the loose curve does, this is told, and mu_s is as far open as it
+    is large. One whose mu_s is known already stays as it is.
+    """
+    if location.friction is not None or not task.mu_free:
+        return location
+    form = location.form
+    wide = add_free_forms(task, scales)
+    start = ensemble.evaluate(wide, place_forms(wide, plain, [form]))
+    curve = wide.model.coordinates.indices(free_form.names(form))
+    sized = fit_to_size(wide, start, curve)
+    price = (len(start.extra[0]) - len(plain.extra[0])) * task.price
+    value = ensemble.criterion(replace(wide, prior=None), ensemble.join(start, sized.fits))
+    if value[0] - value[1] < _AS_MUCH * (location.penalised_drop + price):
+        friction, errors = find_friction(task, plain), compute_friction_errors(task, plain)
+        far = measure_open(form, location.correction, arrived=False)
+        return replace(location, friction=(friction, np.hypot(errors, far)))
+    shares, worth = location.explained, location.penalised_drop
+    told = make_location(sized.task, sized.fits, form, scales, shares, worth)
+    friction, errors = sized.friction
+    errors = np.hypot(errors, measure_open(form, told.correction, arrived=True))
+    return replace(told, friction=(friction, errors))
+
+
 def place_forms(wide: EnsembleTask, plain: Fits, forms: Sequence[str]) -> Fits:
     """Repeat the plain fit for each of the forms, its coefficients free and still zero."""
     coordinates = wide.model.coordinates
@@ -142,7 +187,7 @@ def make_location(
     index = task.model.coordinates.indices(free_form.names(name))
     columns = [*task.shared, *at.extra[0]]
     mine = task.conditions + np.array([columns.index(i) for i in index])
-    C = ensemble.covariance(task, at)[0][np.ix_(mine, mine)]
+    C = measure_excess(task, at) * ensemble.covariance(task, at)[0][np.ix_(mine, mine)]
     return Location(
         component=form.component,
         form=name,

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from difffric.diagnosis.data import DiagnosisData
 from difffric.estimation.block_means import UnevenBlocks, make_uneven, pad_uneven
-from difffric.estimation.ensembles import ensemble
+from difffric.estimation.ensembles import ensemble, ensemble_refits
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.estimation.following.answer_by_program import StackedPushes
 from difffric.measurements.recordings import Channel
+from difffric.rig.catalogue import KEYS, RATIO, numbers_of
 from difffric.units import to_mm, to_mm_min
 
 _SPEEDS = (0.6, 1.0, 2.0, 4.0, 10.0)
@@ -34,6 +35,10 @@ _AFTER = 5e-3
 """How long a part is looked at beyond its slide [s]."""
 _LONGEST = 2.5e-3
 """Of a block [s]: how fine a push is looked at that nobody has made yet."""
+_HIDING = 6
+"""Steps in which the plain model takes up what an invisible effect does."""
+_TYPICAL_RATIO = 0.8
+"""The mu_k / mu_s that stands for this effect's typical size, of which the catalogue has none."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +78,22 @@ class Pair(NamedTuple):
     """the model that is taken for the truth, an ensemble of one"""
     other: Fits
     """an ensemble of one, with its answers to the data"""
+
+
+def hide_effects(task: EnsembleTask, fits: Fits, effects: Sequence[str]) -> list[Pair]:
+    """Pair each of the `effects`, as large as is typical and hidden in the data by what else is
+    free, with the fit `fits` (an ensemble of one) that has none of them."""
+    coordinates, there = task.model.coordinates, []
+    for effect in effects:
+        c = fits.c.copy()
+        names = numbers_of(effect)
+        typical = {n: _TYPICAL_RATIO if effect == RATIO else KEYS[n][1].typical for n in names}
+        c[0, coordinates.indices(names)] = coordinates.point(typical)
+        there.append(replace(fits, c=c, gram=None, residual=None, damping=None))
+    if not there:
+        return []
+    hidden = ensemble_refits.refit(task, ensemble.join(*there), _HIDING)
+    return [Pair((effect, "plain"), hidden.pick(j), fits) for j, effect in enumerate(effects)]
 
 
 def propose_pushes(data: DiagnosisData) -> tuple[StackedPushes, NDArray]:

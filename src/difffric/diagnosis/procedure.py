@@ -253,7 +253,7 @@ class _CauseSearch(CauseRounds):
             found, p_values, base = self._choose_causes(bristles)
             self.explained = True
         elif curve is not None:
-            self.outside, self.friction, self.explained = curve.location, curve.friction, False
+            self.outside, self.explained = curve.location, False
             self.considered = fit_singles(task, self.plain, found)
             return
         items, share = tuple(p_values), self.share

@@ -7,16 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from difffric.diagnosis.background.curve_fit import _measure_open
 from tests.hidden import friction_of, random_case, with_nuisances
 from tests.unit.diagnosis.analysis import Analysis
-
-
-def test_mu_s_is_open_by_the_whole_curve_where_its_fit_has_not_arrived():
-    curve = np.array([0.0, -0.16, 0.08])
-    assert _measure_open("friction_speed", curve, beyond=2.8) == 0.16
-    assert _measure_open("friction_speed", curve, beyond=0.02) == 0.0
-    assert np.isclose(_measure_open("friction_place", curve, beyond=0.02) ** 2, np.mean(curve**2))
 
 
 @pytest.mark.slow

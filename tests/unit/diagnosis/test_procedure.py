@@ -16,6 +16,7 @@ from difffric.diagnosis.alternatives import find_alternatives
 from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.inferred import changes
 from difffric.diagnosis.inferred.changes import Changes, ReadingChanges
+from difffric.diagnosis.inferred.friction import find_friction
 from difffric.diagnosis.misfit import PHASES
 from difffric.rig.setup import Setup
 from difffric.rig.setup_toml import read_setup
@@ -165,6 +166,12 @@ def test_what_the_catalogue_lacks_is_located(tmp_path):
     assert one.found.verdict == "unexplained" and not one.found.causes
     assert one.found.location is not None and one.found.location.component == "friction"
     assert one.found.as_dict()["location"] == "friction"
+    # The plain model's mu_s is off by what it lacks, that beside the curve is not.
+    had, state = np.log(friction_of(case)), one.found.state
+    away = np.log(one.found.mu_s) - had
+    assert (np.abs(away) < 2 * np.divide(one.found.mu_s_standard_error, one.found.mu_s)).all()
+    plain = find_friction(state.data.task, state.plain) - had
+    assert np.linalg.norm(away) < 0.3 * np.linalg.norm(plain)
 
 
 def test_too_few_pushes_to_hold_any_out_is_said(tmp_path):

@@ -10,7 +10,6 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from difffric.diagnosis.background.curve_comparison import CurveComparison
 from difffric.diagnosis.background.evidence import PossibleCause
@@ -20,6 +19,7 @@ from difffric.diagnosis.background.search import BackgroundSearch
 from difffric.diagnosis.background.shape_grid import leave_out
 from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.diagnosis.data import DiagnosisData
+from difffric.diagnosis.inferred.curve_size import measure_open
 from difffric.diagnosis.inferred.friction import compute_friction_errors, find_friction
 from difffric.diagnosis.location import Location, add_free_forms, make_location, place_forms
 from difffric.estimation.ensembles import ensemble
@@ -38,8 +38,6 @@ NEARLY_ALL = 0.8
 """The same from which on nothing else is asked for."""
 _TWICE = 2.0
 """How many times what its numbers cost in any case it has to explain."""
-_ALONG_THE_WAY = "friction_place"
-"""The form of a friction that varies along the way."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +45,7 @@ class CurveFit:
     """A curve that explains what causes do not."""
 
     location: Location
-    friction: tuple[NDArray, NDArray]
-    """log mu_s (n,) of the pushes beside it, and their standard errors"""
+    """with the mu_s of the pushes beside it"""
     share: float
     """of what the joint fit left beyond the noise that it explains"""
 
@@ -84,19 +81,10 @@ def fit_curve_for_causes(
     explained = {form: 1.0 - max(beyond, 0.0) * float(task.counts.sum()) / max(excess, 1.0)}
     location = make_location(wide, fits, form, data.scales, explained, drop - price)
     errors = compute_friction_errors(wide, fits, grown=False)
-    errors = np.hypot(errors, _measure_open(form, location.correction, beyond))
-    friction = find_friction(wide, fits, grown=False), errors
-    return CurveFit(location, friction, 1.0 - beyond / (left - 1.0))
-
-
-def _measure_open(form: str, correction: NDArray, beyond: float) -> float:
-    """How far, relatively, mu_s is open beside a curve with this `correction` by what no error of a
-    fit tells; `beyond` is what that leaves beyond the noise, per number."""
-    if 1.0 + beyond > ARRIVED:  # elsewhere it may be as far off as the curve is large
-        return float(np.abs(correction).max())
-    if form == _ALONG_THE_WAY:  # where it varies by so much, so much is open what mu_s is
-        return float(np.sqrt(np.mean(correction**2)))
-    return 0.0
+    arrived = 1.0 + beyond <= ARRIVED
+    errors = np.hypot(errors, measure_open(form, location.correction, arrived))
+    location = replace(location, friction=(find_friction(wide, fits, grown=False), errors))
+    return CurveFit(location, 1.0 - beyond / (left - 1.0))
 
 
 def _assume_beside_forms(data: DiagnosisData, small: SmallEffects, share: float) -> EnsembleTask:

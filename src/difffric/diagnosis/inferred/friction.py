@@ -44,6 +44,25 @@ def compute_friction_errors(
     """
     if not task.mu_free:
         return np.zeros(task.n)
+    weight, slope = linearise_friction(task, fits, grown)
+    covariance = ensemble.covariance(task, fits)[0]
+    variance = 1.0 / weight + np.einsum("np,pq,nq->n", slope, covariance, slope)
+    return np.sqrt(variance * measure_excess(task, fits) + unseen**2)
+
+
+def measure_excess(task: EnsembleTask, fits: Fits) -> float:
+    """Return by how much more than noise the squares of a fit (an ensemble of one) are: at least
+    1."""
+    squares = np.einsum("nk,k->", fits.gram[0, ..., -1, -1], fits.spread[0] ** -2.0)
+    spent = task.conditions + fits.gram.shape[-1] - 2
+    return max(float(squares) / max(task.counts.sum() - spent - task.n, 1.0), 1.0)
+
+
+def linearise_friction(
+    task: EnsembleTask, fits: Fits, grown: bool = True
+) -> tuple[NDArray, NDArray]:
+    """Return the precision (n,) of each push's own log mu_s where all else is known, and the
+    derivatives (n, P) of the log mu_s by the parameters, each push's own following them."""
     parts = ensemble.split_by_push(task, fits)
     weight = parts.z[0] + 1.0 / fits.scatter[0] ** 2
     slope = -parts.h[0] / weight[:, None]
@@ -52,11 +71,7 @@ def compute_friction_errors(
     for i, change in differentiate_friction(task, fits.c[0], grown).items():
         if i in columns:
             slope[:, task.conditions + columns.index(i)] += change
-    covariance = ensemble.covariance(task, fits)[0]
-    variance = 1.0 / weight + np.einsum("np,pq,nq->n", slope, covariance, slope)
-    squares = np.einsum("nk,k->", fits.gram[0, ..., -1, -1], fits.spread[0] ** -2.0)
-    freedom = max(task.counts.sum() - slope.shape[1] - task.n, 1.0)
-    return np.sqrt(variance * max(float(squares) / freedom, 1.0) + unseen**2)
+    return weight, slope
 
 
 def differentiate_friction(
