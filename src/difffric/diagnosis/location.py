@@ -36,9 +36,9 @@ _ROUNDS = 12
 """Steps at most of a leading form's fit to all pushes."""
 _LEADERS = 2
 """Forms that are fitted to all pushes."""
-_AS_MUCH = 0.9
-"""Share of what a loose curve explains from which on one of the most probable size stands for it.
-"""
+_AS_MUCH = 0.5
+"""Share of what a loose curve explains from which on one of the most probable size stands for it: a
+loose one explains more where none follows what is there, and is then anything."""
 
 
 @dataclass(frozen=True)
