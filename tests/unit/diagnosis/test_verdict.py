@@ -66,7 +66,7 @@ def test_growth_in_rest_is_told_with_the_friction_where_it_is_a_cause(monkeypatc
         setup=df.Setup(RIG), data=SimpleNamespace(task=task), plain=null, whole=fits,
         friction=None, unseen=0.0, causes=(one,) * matters, slight=(one,) * (not matters),
     )  # fmt: skip
-    friction, _ = conclusion._infer_friction(found, fits, explained=True)
+    friction, _ = conclusion._infer_friction(found, fits, location=None)
     growth = 1 + 0.02 * np.log(1 + REST)
     np.testing.assert_allclose(np.exp(friction), 0.14 * (growth if matters else 1), rtol=1e-12)
 
