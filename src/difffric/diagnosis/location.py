@@ -134,8 +134,9 @@ def settle_location(
     """Return the `location` that is told, its curve fitted on from the plain fit (an ensemble of
     one) and as large as the data make probable, with the mu_s of the pushes beside it.
 
-    Where that explains less than the loose curve does, this is told, and mu_s is as far open as it
-    is large. One whose mu_s is known already stays as it is.
+    Where that explains less than half of what the loose curve does, this is told, and mu_s is that
+    of the plain fit, as far open as the curve is large. A location whose mu_s is known already
+    stays as it is.
     """
     if location.friction is not None or not task.mu_free:
         return location
