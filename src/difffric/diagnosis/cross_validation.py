@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from difffric.estimation.ensembles import held_out
+from difffric.estimation.ensembles import ensemble, held_out
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.measurements.noise import KNOWN_TO
 
@@ -68,6 +68,13 @@ class CrossValidation:
     def is_better(self, new: Fits, base: Fits) -> bool:
         """Whether `new` predicts held-out pushes better than `base`, with `new`'s spreads."""
         return self.measure_surprise(new) < self.measure_surprise(replace(base, spread=new.spread))
+
+    def speaks_against(self, new: Fits, base: Fits) -> bool:
+        """Whether `new` predicts held-out pushes worse than `base` by more than it explains of all
+        pushes."""
+        value = ensemble.criterion(self.task, ensemble.join(base, new))
+        worse = self.measure_surprise(new) - self.measure_surprise(base)
+        return worse > float(value[0] - value[1])
 
     def measure_squares(self, fits: Fits, spread: NDArray, plain_scatter: NDArray) -> NDArray:
         """Return the (1, n) squared errors of the held-out pushes in units of the noise.

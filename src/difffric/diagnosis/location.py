@@ -134,9 +134,9 @@ def settle_location(
     """Return the `location` that is told, its curve fitted on from the plain fit (an ensemble of
     one) and as large as the data make probable, with the mu_s of the pushes beside it.
 
-    Where that explains less than half of what the loose curve does, this is told, and mu_s is that
-    of the plain fit, as far open as the curve is large. A location whose mu_s is known already
-    stays as it is.
+    Where that explains less than half of what the loose curve does, or knows no mu_s, the loose one
+    is told, and mu_s is that of the plain fit, as far open as the curve is large. A location whose
+    mu_s is known already stays as it is.
     """
     if location.friction is not None or not task.mu_free:
         return location
@@ -147,7 +147,8 @@ def settle_location(
     sized = fit_to_size(wide, start, curve)
     price = (len(start.extra[0]) - len(plain.extra[0])) * task.price
     value = ensemble.criterion(replace(wide, prior=None), ensemble.join(start, sized.fits))
-    if value[0] - value[1] < _AS_MUCH * (location.penalised_drop + price):
+    known = np.isfinite(sized.friction).all()
+    if not known or value[0] - value[1] < _AS_MUCH * (location.penalised_drop + price):
         friction, errors = find_friction(task, plain), compute_friction_errors(task, plain)
         far = measure_open(form, location.correction, arrived=False)
         return replace(location, friction=(friction, np.hypot(errors, far)))

@@ -29,6 +29,7 @@ from difffric.diagnosis.background.naming import (
     BACKGROUND,
     USUAL_SHARE,
     choose_by_fits,
+    choose_foreseen,
     choose_significant,
     compare_rivals,
     find_unseen,
@@ -78,7 +79,7 @@ change F_p or d to be a cause: where pushes are on an edge a little does so."""
 _FEWEST = 3
 """Pushes from which on one can be held out."""
 _FAR_ABOVE = 20.0
-"""How many times its price a cause is worth where the fit without it need not go to its end."""
+"""How many times its price a cause is worth whose refit without it need not go to its end."""
 _ROUNDS_WITHOUT = 6
 """Steps at most of a refit that leaves a cause out again, which begins near its end."""
 
@@ -254,7 +255,6 @@ class _CauseSearch(CauseRounds):
             self.explained = True
         elif curve is not None:
             self.outside, self.explained = curve.location, False
-            self.considered = fit_singles(task, self.plain, found)
             return
         items, share = tuple(p_values), self.share
         self.base = self.whole = base
@@ -266,7 +266,7 @@ class _CauseSearch(CauseRounds):
             value = ensemble.criterion(task, ensemble.join(self.plain, bare))
             if value[1] < value[0]:
                 self.plain, self.lack = bare, measure_lack_of_fit(task, bare)
-        self.considered = fit_singles(task, self.plain, found)
+                self.considered = fit_singles(task, bare, found)
         if share > BACKGROUND:
             assumed, self.whole = fit_beside_background(found.data, found, items)
             self._take_task(assumed)
@@ -312,16 +312,17 @@ class _CauseSearch(CauseRounds):
         """Choose the causes that stand out where a search ended: return the search with their set
         as its best, their p-values, and the fit with them and no background."""
         task = self.start.data.task
-        found = choose_by_fits(task, found.plain, found)
+        self.considered = fit_singles(task, found.plain, found)
+        found = choose_by_fits(task, found.plain, found, self.considered)
         items, p_values = choose_significant(task, found, SIGNIFICANT)
         if self.matters > 0:
             outstanding = list_outstanding(found.evidence, items)
             self.usual = frozenset(item.effect for item in items) - outstanding
         self.share = found.evidence.estimate_share(items)
         base = fit_causes(task, found.plain, found, items)
-        if items and self.share <= BACKGROUND and self._leads_astray(base):
-            none = tuple(one for one in found.sets if not one.items)
-            return replace(found, sets=none, fitted=None), {}, found.plain
+        if items and self.share <= BACKGROUND and self.validation.speaks_against(base, self.plain):
+            found, fewer = choose_foreseen(self.validation, found, items, SIGNIFICANT)
+            return found, fewer, found.fitted or found.plain
         return found, dict(zip(items, p_values, strict=True)), base
 
     def _is_poor(
@@ -374,12 +375,6 @@ class _CauseSearch(CauseRounds):
         self.named, self.considered = [NamedCause(one, (one,), plain)], [one]
         self.total, self.explained = max(self.lack.excess, one.drop), True
         return True
-
-    def _leads_astray(self, fits: Fits) -> bool:
-        """Whether held-out pushes speak against `fits` by more than these explain."""
-        task, foresee = self.start.data.task, self.validation.measure_surprise
-        value = ensemble.criterion(task, ensemble.join(self.plain, fits))
-        return foresee(fits) - foresee(self.plain) > float(value[0] - value[1])
 
     def _does_matter(self, one: NamedCause, at: Fits) -> bool:
         """Whether an effect of the fit `at` changes as much as matters, and is unusual."""

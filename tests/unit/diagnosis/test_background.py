@@ -25,6 +25,8 @@ from difffric.diagnosis.background.evidence import Evidence
 from difffric.diagnosis.background.friction_estimate import average_over_sets, estimate_friction
 from difffric.diagnosis.background.shape_pursuit import pursue_shapes
 from difffric.diagnosis.background.small_effects import SmallEffects
+from difffric.diagnosis.cross_validation import CrossValidation
+from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.inferred.friction import compute_friction_errors, find_friction
 from difffric.estimation.ensembles import ensemble, ensemble_refits
 from tests.unit.diagnosis.linear_rig import LinearModel, make_task, start
@@ -353,11 +355,17 @@ def test_mu_s_without_a_cause_is_averaged_over_the_sets_of_causes_that_may_be_th
     assert error**2 - known[1] ** 2 == pytest.approx(np.maximum(wider, 0.0), abs=1e-12)
 
 
-def make_search(seed: int) -> background_search.BackgroundSearch:
-    """The search of a rig with a tilt, that of a set of causes at its end."""
+def make_search(
+    seed: int, tilt: float = 3.0, misread: float = 0.0
+) -> background_search.BackgroundSearch:
+    """The search of a rig with a tilt, that of a set of causes at its end. Where a push is
+    `misread`, a gain explains that, of which the others say, faintly, that it is far from there."""
     rng = np.random.default_rng(seed)
     slopes = rng.normal(size=(N, 2, 4))
-    measured = 3.0 * slopes[:, :, 2] + 0.5 * rng.normal(size=(N, 2))
+    measured = tilt * slopes[:, :, 2] + 0.5 * rng.normal(size=(N, 2))
+    if misread:
+        slopes[1:, :, 3] *= 1e-3
+        measured += slopes[:, :, 3] * np.where(np.arange(N) == 0, misread, -50.0 * misread)[:, None]
     task = make_task(slopes, measured, ("k", "tilt.alpha_rad", "force_gain.factor"), shared=(1,))
     ones = np.ones(2)
     small = SmallEffects(
@@ -381,10 +389,36 @@ def test_a_fit_decides_between_sets_that_linear_answers_hardly_tell_apart(seed):
     (right,) = (one for one in found.sets if one.effects == {"tilt"})
     (wrong,) = (one for one in found.sets if one.effects == {"force_gain"})
     misled = replace(found, sets=(replace(wrong, score=right.score + 1.0), right))
-    assert naming.choose_by_fits(task, plain, misled).best is right
+    assert naming.choose_by_fits(task, plain, misled, ()).best is right
     # Where they are told apart nothing is fitted.
     sure = replace(found, sets=(replace(wrong, score=right.score + 100.0), right))
-    assert naming.choose_by_fits(task, plain, sure) is sure
+    assert naming.choose_by_fits(task, plain, sure, ()) is sure
+    # Unless a single one, by its fit, explains more than the best is said to.
+    fit = naming.fit_causes(task, plain, replace(found, sets=(right,)), right.items)
+    drop = float(np.subtract(*ensemble.criterion(task, ensemble.join(plain, fit))))
+    seen = replace(found, sets=(replace(wrong, score=0.4 * drop), right))
+    assert seen.best.score > right.score + 5
+    single = CandidateCause("tilt", fit, drop, 2 * right.score, 0.0, drop - 2 * right.price)
+    chosen = naming.choose_by_fits(task, plain, seen, [single])
+    assert chosen.best is right and chosen.fitted is fit
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("tilt", [0.0, 6.0])
+def test_a_cause_stays_where_one_beside_it_leads_held_out_pushes_astray(tilt, seed):
+    found = make_search(seed, tilt, misread=10.0)
+    validation = CrossValidation(found.data.task, np.arange(N))
+    plain = ensemble_refits.refit(validation.task, found.plain, 10)
+    both = cause_sets.weigh_set(found.evidence, found.evidence.items)
+    found = replace(found, plain=plain, sets=(both, *found.sets))
+    together = naming.fit_causes(validation.task, plain, found, both.items)
+    assert validation.speaks_against(together, plain)
+    at, causes = naming.choose_foreseen(validation, found, both.items, 1e-3)
+    assert [item.effect for item in causes] == ["tilt"] * (tilt > 0)
+    assert at.best.effects == {item.effect for item in causes}
+    if at.fitted is not None:
+        assert not validation.speaks_against(at.fitted, plain)
+        assert at.fitted.c[0, 2] == pytest.approx(tilt, abs=0.7)
 
 
 def test_the_set_that_was_fitted_is_found_where_the_comparison_stands():

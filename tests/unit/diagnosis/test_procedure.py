@@ -4,6 +4,7 @@ rough set-ups. What is named, its size, and what it gains on pushes that nobody 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 import difffric as df
-from difffric.diagnosis import procedure
+from difffric.diagnosis import location, procedure
 from difffric.diagnosis.alternatives import find_alternatives
 from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.inferred import changes
@@ -75,12 +76,28 @@ def test_a_hidden_effect_is_named_sized_and_gains_on_new_pushes(effect, tmp_path
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "seed", "strength"),
-    [("contact_hardening", 500009, 30.0), ("static_dwell", 300007, 6.0)],
-    ids=["a push jumps beside the null of a lag", "a push stands on a wrong branch"],
+    [
+        ("contact_hardening", 500009, 30.0),
+        ("static_dwell", 300007, 6.0),
+        ("probe_scale", 400021, 10.0),
+    ],
+    ids=[
+        "a push jumps beside the null of a lag",
+        "a push stands on a wrong branch",
+        "a tilt beside it leads held-out pushes astray",
+    ],
 )
 def test_an_effect_is_named_where_a_push_stands_on_an_edge(effect, seed, strength, tmp_path):
     one = Analysis(random_case(seed, effect, strength), tmp_path)
     assert effect in one.first and len(one.found.causes) == 1
+
+
+@pytest.mark.slow
+def test_what_explains_most_by_its_fit_is_named_though_linear_answers_miss_it(tmp_path):
+    one = Analysis(random_case(400023, "stribeck", 10.0, delta=1.0), tmp_path)
+    assert "stribeck" in one.first and len(one.found.causes) == 1
+    away = np.abs(np.array(one.found.mu_s) / friction_of(one.case) - 1)
+    assert away.max() < 2e-3
 
 
 @pytest.mark.slow
@@ -160,7 +177,7 @@ def test_inseparable_effects_are_one_set(tmp_path):
     assert all(c.drop == pytest.approx(cause.drop, abs=6) for c in found)
 
 
-def test_what_the_catalogue_lacks_is_located(tmp_path):
+def test_what_the_catalogue_lacks_is_located(tmp_path, monkeypatch):
     case = random_case(100000 * 10, "friction_rise", strength=60)
     one = Analysis(case, tmp_path)
     assert one.found.verdict == "unexplained" and not one.found.causes
@@ -172,6 +189,13 @@ def test_what_the_catalogue_lacks_is_located(tmp_path):
     assert (np.abs(away) < 2 * np.divide(one.found.mu_s_standard_error, one.found.mu_s)).all()
     plain = find_friction(state.data.task, state.plain) - had
     assert np.linalg.norm(away) < 0.3 * np.linalg.norm(plain)
+    # Where none is known beside a curve it is told as far open as the curve is large.
+    unknown = SimpleNamespace(friction=np.full((2, one.case.n), np.nan), fits=state.plain)
+    monkeypatch.setattr(location, "fit_to_size", lambda *_: unknown)
+    asked = replace(one.found.location, friction=None)
+    told = location.settle_location(state.data.task, state.plain, asked, state.data.scales)
+    assert told.friction is not None and np.isfinite(told.friction).all()
+    assert (told.friction[1] >= np.abs(asked.correction).max()).all()
 
 
 def test_too_few_pushes_to_hold_any_out_is_said(tmp_path):

@@ -77,12 +77,9 @@ def replace_item(
     return list(best.values())
 
 
-def score_set(evidence: Evidence, items: Sequence[PossibleCause]) -> float:
-    """The score of one set."""
-    if not items:
-        return 0.0
-    found = evidence.compare([[c for item in items for c in item.columns]])
-    return float(found.gain[0]) - compute_price(evidence, items)
+def weigh_set(evidence: Evidence, items: Sequence[PossibleCause]) -> CauseSet:
+    """Return the set of these items, whatever their sizes."""
+    return _score(evidence, [tuple(items)], every=True)[0] if items else CauseSet((), 0.0, ())
 
 
 def find_set(evidence: Evidence, effects: Collection[str]) -> CauseSet | None:
@@ -91,10 +88,7 @@ def find_set(evidence: Evidence, effects: Collection[str]) -> CauseSet | None:
     items = tuple(
         x for x in evidence.items if x.effect in effects and (x.shape is None or x.shape.placed)
     )
-    if len(items) < len(effects):
-        return None
-    found = _score(evidence, [items], every=True) if items else [CauseSet((), 0.0, ())]
-    return found[0]
+    return None if len(items) < len(effects) else weigh_set(evidence, items)
 
 
 def _combine(items: Sequence[PossibleCause], k: int) -> list[tuple[PossibleCause, ...]]:

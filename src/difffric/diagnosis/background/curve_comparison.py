@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from difffric.diagnosis.background.cause_sets import score_set
+from difffric.diagnosis.background.cause_sets import weigh_set
 from difffric.diagnosis.background.evidence import (
     BackgroundState,
     Evidence,
@@ -131,7 +131,7 @@ def compare_with_curves(
     price = float(np.log(len(FORMS))) + _SELDOM
     alone = list(_weigh_curves(evidence, (), curves, priors))
     beside = list(_weigh_curves(evidence, items, curves, priors)) if items else []
-    linear, share = score_set(evidence, items), evidence.estimate_share(items)
+    linear, share = weigh_set(evidence, items).score, evidence.estimate_share(items)
     causes = linear
     if share <= BACKGROUND:
         # To take a shape out again is anything but linear: no set explains more than was seen.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from difffric.diagnosis.background.cause_sets import (
     CauseSet,
     compute_price,
     replace_item,
-    score_set,
+    weigh_set,
 )
 from difffric.diagnosis.background.evidence import Evidence, PossibleCause
 from difffric.diagnosis.background.joint_fit import measure_left
@@ -20,6 +20,7 @@ from difffric.diagnosis.background.placement import predict_start, put_shape, pu
 from difffric.diagnosis.background.search import BackgroundSearch
 from difffric.diagnosis.background.small_effects import UNIT_CHANGE
 from difffric.diagnosis.conclusion import ALIKE
+from difffric.diagnosis.cross_validation import CrossValidation
 from difffric.diagnosis.data import DiagnosisData
 from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.score_test import compute_p_value, count_looks
@@ -63,9 +64,12 @@ def find_unseen(data: DiagnosisData, share: float) -> float:
     return share * UNIT_CHANGE if _LIKE_FRICTION in data.impossible else 0.0
 
 
-def choose_by_fits(task: EnsembleTask, plain: Fits, search: BackgroundSearch) -> BackgroundSearch:
-    """Return the search with that set as its best whose fit is: of those that linear answers hardly
-    tell apart, and where there is no background, which these fits have not."""
+def choose_by_fits(
+    task: EnsembleTask, plain: Fits, search: BackgroundSearch, singles: Sequence[CandidateCause]
+) -> BackgroundSearch:
+    """Return the search with that set as its best whose fit is, where there is no background, which
+    these fits have not: of those that linear answers hardly tell apart, and of the `singles`, which
+    are fitted already, that explain more than linear answers say of the best."""
     if search.evidence.estimate_share(search.best.items) > BACKGROUND:
         return search
     rivals = _list_rivals(search, search.sets)
@@ -74,15 +78,32 @@ def choose_by_fits(task: EnsembleTask, plain: Fits, search: BackgroundSearch) ->
         first = replace(search, evidence=search.first, joint=search.first.at, sets=search.singles)
         first = replace(first, shaped=tuple(x.effect for x in search.first.list_placed()))
         rivals = {**_list_rivals(first, search.singles), **rivals}
-    if len(rivals) < 2:
+    known = _list_better(search, singles, rivals)
+    if len(rivals) + len(known) < 2:
         return search
-    fits = [fit_causes(task, plain, at, at.best.items) for at in rivals.values()]
-    value = [
-        float(ensemble.criterion(task, fit)[0]) + 2 * at.best.price
-        for fit, at in zip(fits, rivals.values(), strict=True)
-    ]
-    best = int(np.argmin(value))
-    return replace(list(rivals.values())[best], fitted=fits[best])
+    fits = [(at, fit_causes(task, plain, at, at.best.items)) for at in rivals.values()]
+    fits += known
+    value = [float(ensemble.criterion(task, fit)[0]) + 2 * at.best.price for at, fit in fits]
+    best, fitted = fits[int(np.argmin(value))]
+    return replace(best, fitted=fitted)
+
+
+def _list_better(
+    search: BackgroundSearch,
+    singles: Sequence[CandidateCause],
+    rivals: Collection[frozenset[str]],
+) -> list[tuple[BackgroundSearch, Fits]]:
+    """List of the `singles`, where anything stands out, those that explain more than linear answers
+    say of the best set, and are no `rivals` yet: of each the search with it as its best, and its
+    fit."""
+    better = []
+    for one in singles if search.best.items else ():
+        mine = next((x for x in search.sets if x.effects == {one.effect}), None)
+        more = one.penalised_drop > 2 * search.best.score
+        if mine is not None and more and mine.effects not in rivals:
+            others = (x for x in search.sets if x is not mine)
+            better.append((replace(search, sets=(mine, *others)), one.fits))
+    return better
 
 
 def _list_rivals(
@@ -136,6 +157,39 @@ def keep_significant(
     return (), []
 
 
+def choose_foreseen(
+    validation: CrossValidation,
+    search: BackgroundSearch,
+    items: Sequence[PossibleCause],
+    significant: float,
+) -> tuple[BackgroundSearch, dict[PossibleCause, float]]:
+    """Return, of the causes that together lead held-out pushes astray, those without which these
+    are foreseen better than without any: the search with them as its best set, and their p-values.
+
+    One after the other is left out, that one in whose absence they are foreseen best.
+    """
+    most = validation.measure_surprise(search.plain)
+    while len(items) > 1:
+        tried: list[tuple[float, BackgroundSearch, list[float]]] = []
+        for gone in items:
+            rest = weigh_set(search.evidence, [item for item in items if item is not gone])
+            kept, p_values = keep_significant(search.evidence, rest, significant)
+            if kept and all(kept != at.best.items for _, at, _ in tried):
+                at = replace(search, sets=(weigh_set(search.evidence, kept), *search.sets))
+                at = replace(at, fitted=None)
+                fits = fit_causes(validation.task, search.plain, at, kept)
+                found = validation.measure_surprise(fits)
+                tried.append((found, replace(at, fitted=fits), p_values))
+        if not tried:
+            break
+        found, at, p_values = min(tried, key=lambda one: one[0])
+        items = at.best.items
+        if found < most:
+            return at, dict(zip(items, p_values, strict=True))
+    none = tuple(one for one in search.sets if not one.items)
+    return replace(search, sets=none, fitted=None), {}
+
+
 def list_outstanding(evidence: Evidence, items: Sequence[PossibleCause]) -> frozenset[str]:
     """List those of the causes that are larger than a usual background would make them, too."""
     log = compute_log_background_p_values(evidence, items, USUAL_SHARE)
@@ -170,7 +224,7 @@ def compare_rivals(
     """
     task_index, evidence = task.model.coordinates.indices, search.evidence
     mine = next(item for item in items if item.effect == cause.effect)
-    most, paid = score_set(evidence, items), compute_price(evidence, items)
+    most, paid = weigh_set(evidence, items).score, compute_price(evidence, items)
     rivals, starts, fitted = [], [], []
     gone = task_index(numbers_of(cause.effect))
     for one in replace_item(evidence, items, mine):
