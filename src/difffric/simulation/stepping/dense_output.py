@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
@@ -85,9 +85,11 @@ class Stride(NamedTuple):
         end: Jet,
         h: Float[Array, ""],
         share: Float[Array, ""],
+        brief: Bool[Array, ""],
     ) -> Stride:
         """From the state and its rates at the shares 0 and 1 of a step of h [s], which counts up
-        to `share`."""
+        to `share`. A step so `brief` that how far it leads is lost to rounding goes on as it
+        began."""
 
         def jet(s: PhasePoint, r: PhasePoint, rr: PhasePoint):
             gap = motion.rig.contact.gap
@@ -96,10 +98,14 @@ class Stride(NamedTuple):
         def tip(s: PhasePoint, r: PhasePoint, rr: PhasePoint):
             return [s.y, r.y * h, rr.y * h**2]
 
-        x = _multiply(_SEPTIC, jet(*start) + jet(*end))
+        first = jet(*start)
+        x = _multiply(_SEPTIC, first + jet(*end))
         (y_0, v_0, a_0), (y_1, v_1, a_1) = tip(*start), tip(*end)
         rest = [y_1 - y_0 - v_0 - 0.5 * a_0, v_1 - v_0 - a_0, a_1 - a_0]
         y = (y_0, v_0, 0.5 * a_0, *_multiply(_QUINTIC, rest))
+        taylor = [first[0], first[1], first[2] / 2, first[3] / 6, *[0.0] * 4]
+        x = tuple(jnp.where(brief, a, b) for a, b in zip(taylor, x, strict=True))
+        y = (*y[:3], *(jnp.where(brief, 0.0, c) for c in y[3:]))
         return cls(start[0].t, h, share, course, x, y)
 
     def position(self, share: Float[ArrayLike, ""]) -> Float[Array, ""]:

@@ -35,6 +35,8 @@ from difffric.units import GRAVITY
 MAX_STEPS = 20_000
 """Steps after which a push is given up, so that laws that make no sense come to an end too."""
 _LOST = 1e-13  # of the push's own time: a step as short as this no longer moves it
+_BRIEF = 1e-6
+"""The same: how far a shorter step leads is lost to rounding, and its speeds with it."""
 _ROUNDING = 1e-12  # of g: a part that has just broken away slows by less, which is rounding
 _CLOSE = 1e-4
 """Of a free step: an event this near to the end is reached by the Taylor step."""
@@ -390,6 +392,7 @@ class StepLoop(NamedTuple):
         """The step of h [s], and the Taylor step dt [s] beyond it, as functions of time."""
         c = m.course
         bend = jax.jvp(lambda p: self.motion.rates(c, p), (m.s,), (begin.rate,))[1]
-        h = jnp.maximum(h, 1e-12 * stop_gradient(self.time))
+        time = stop_gradient(self.time)
+        brief, h = h < _BRIEF * time, jnp.maximum(h, 1e-12 * time)
         ends = (m.s, begin.rate, bend), (end.s, end.rate, end.bend)
-        return Stride.of(self.motion, c, *ends, h, 1 + dt / h)
+        return Stride.of(self.motion, c, *ends, h, 1 + dt / h, brief)
