@@ -6,6 +6,10 @@ import pytest
 from numpy.polynomial import polynomial
 from scipy.integrate import solve_ivp
 
+from difffric.rig.catalogue import extended
+from difffric.rig.rig import spring_damper_rig
+from difffric.simulation.observables import observe
+from difffric.simulation.stepping.integrator import RungeKutta
 from difffric.simulation.stepping.sensor_readout import Filters, filter_strides
 
 
@@ -35,3 +39,18 @@ def test_filters_of_some_strides_solve_their_equations_one_after_the_other(tau, 
         row = type(passed)(*(x[k] for x in passed))
         assert float(row.value(1.0)) == pytest.approx(share * (ends[0] - ends[1]), rel=1e-7)
     np.testing.assert_allclose(after, ends, rtol=1e-7)
+
+
+@pytest.mark.parametrize("effect", ["force_lowpass", "force_highpass", "sample_clipping"])
+def test_a_sensor_without_its_effect_reads_the_plain_peak(effect):
+    """Also where steps of no length are taken, long after the peak: such a step's speed, by how far
+    it led, was rounding alone, and the damper made 50 N of it."""
+    rig = spring_damper_rig(
+        mu_s=0.18418489938970847, k_v=5.577, mass=5.13, k=1.366e6, b=2455.0, stroke=2e-3
+    )
+    rig = extended(rig, {"initial_gap": {"gap_m": 0.00026989814974262544}})
+    integrator = RungeKutta(1e-7)
+    plain = observe(rig, 0.5 / 60, integrator)
+    seen = observe(extended(rig, {effect: {}}), 0.5 / 60, integrator)
+    assert float(seen.peak_force) == pytest.approx(float(plain.peak_force), rel=1e-9)
+    assert float(seen.sliding_distance) == pytest.approx(float(plain.sliding_distance), rel=1e-6)
