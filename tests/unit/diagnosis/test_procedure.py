@@ -190,8 +190,12 @@ def test_what_the_catalogue_lacks_is_located(tmp_path, monkeypatch):
     plain = find_friction(state.data.task, state.plain) - had
     assert np.linalg.norm(away) < 0.3 * np.linalg.norm(plain)
     # Where none is known beside a curve it is told as far open as the curve is large.
-    unknown = SimpleNamespace(friction=np.full((2, one.case.n), np.nan), fits=state.plain)
-    monkeypatch.setattr(location, "fit_to_size", lambda *_: unknown)
+    unknown = np.full((2, len(had)), np.nan)
+    monkeypatch.setattr(
+        location,
+        "fit_to_size",
+        lambda _, start, curve: SimpleNamespace(fits=start, friction=unknown),
+    )
     asked = replace(one.found.location, friction=None)
     told = location.settle_location(state.data.task, state.plain, asked, state.data.scales)
     assert told.friction is not None and np.isfinite(told.friction).all()
