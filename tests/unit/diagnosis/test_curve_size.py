@@ -15,8 +15,6 @@ CURVE = [*range(1, 1 + len(NAMES))]
 SEEN, ALONG = 3000.0, 0.999
 """By how many units of noise a push's numbers change with log mu_s, and what share of that the
 curve's level does: nearly one with mu_s."""
-
-
 MU = 0.05
 """The log mu_s of every push; fits start at zero."""
 
