@@ -143,6 +143,17 @@ class Recording:
     """without noise and zero"""
 
 
+def draw_lateness(case: Case, rng: np.random.Generator) -> float:
+    """How much later than the recorder's t = 0 a push begins [s], by its own generator."""
+    return case.jitter * rng.standard_normal()
+
+
+def lateness(case: Case) -> np.ndarray:
+    """The same of all pushes (n,)."""
+    seeds = ([case.seed, 1, i, 0] for i in range(len(case.pushes)))
+    return np.array([draw_lateness(case, np.random.default_rng(seed)) for seed in seeds])
+
+
 def record(case: Case, noisy: bool = True) -> list[Recording]:
     """All pushes; without noise the position's zero is where the push starts."""
     rows, others = numbers(case)
@@ -150,7 +161,7 @@ def record(case: Case, noisy: bool = True) -> list[Recording]:
     for i, (push, row) in enumerate(zip(case.pushes, rows, strict=True)):
         # A generator for each channel: a recording that ends earlier has the same noise till then.
         rng, of_force, of_position = (np.random.default_rng([case.seed, 1, i, j]) for j in range(3))
-        late = case.jitter * rng.standard_normal()
+        late = draw_lateness(case, rng)
         origin = rng.uniform(-ZERO, ZERO)
         times = sample_times(case, stepper.follow(row, others, np.zeros(0)).end)
         run = sensed(case, row, others, times - late)

@@ -43,29 +43,33 @@ from difffric.diagnosis.background.search import (
     search_background,
     search_beyond_edge,
 )
-from difffric.diagnosis.background.small_effects import UNIT_CHANGE
 from difffric.diagnosis.combinations.cause_rounds import CauseRounds
 from difffric.diagnosis.conclusion import Findings, NamedCause, conclude
 from difffric.diagnosis.cross_validation import CrossValidation, assign_folds
 from difffric.diagnosis.exploration import CandidateCause, explore_bristles
 from difffric.diagnosis.extended_setup import describe_plain
 from difffric.diagnosis.impossible_measurements import find_unreachable
-from difffric.diagnosis.inferred.changes import measure_changes
 from difffric.diagnosis.inferred.friction import DWELL_EFFECT
+from difffric.diagnosis.inferred.start_offsets import describe_offsets
 from difffric.diagnosis.lack_of_fit import LackOfFit, is_misfit_large, measure_lack_of_fit
 from difffric.diagnosis.location import Location
 from difffric.diagnosis.score_test import SIGNIFICANT, Score, run_score_tests
-from difffric.diagnosis.start import SearchStart, calibrate_plain, fit_plain_model, prepare_start
+from difffric.diagnosis.start import (
+    SearchStart,
+    calibrate_plain,
+    fit_plain_model,
+    prepare_start,
+    shift_by_offsets,
+)
 from difffric.diagnosis.verdict import Diagnosis
 from difffric.errors import InputError, NumericalError
-from difffric.estimation.ensembles import ensemble, ensemble_refits
+from difffric.estimation.ensembles import ensemble
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.estimation.extended_model import PRESLIDING
 from difffric.known_so_far import tell_answer
 from difffric.measurements.pushes import Pushes
 from difffric.measurements.recordings import Recordings
 from difffric.progress import Tell, silent
-from difffric.rig.catalogue import numbers_of
 from difffric.rig.rig import Rig
 from difffric.rig.setup import Setup
 
@@ -73,15 +77,10 @@ PUSH, SPEED = "push", "speed"
 MATTERS = 0.005
 """Share of mu_s by which a cause must change what is inferred to be one: a third of the scatter
 of a good rig from push to push."""
-_SURELY = 3.0
-"""How many times as much as the small effects of its rig an effect that may be one of them must
-change F_p or d to be a cause: where pushes are on an edge a little does so."""
 _FEWEST = 3
 """Pushes from which on one can be held out."""
 _FAR_ABOVE = 20.0
 """How many times its price a cause is worth whose refit without it need not go to its end."""
-_ROUNDS_WITHOUT = 6
-"""Steps at most of a refit that leaves a cause out again, which begins near its end."""
 
 
 def diagnose(
@@ -216,7 +215,7 @@ class _CauseSearch(CauseRounds):
             visible=self.visible,
             certificates=certificates,
             total=self.total,
-            notes=self.notes,
+            notes=(*self.notes, *describe_offsets(self.start.offsets)),
             explained=self.explained,
             curves=self.curves,
             outside=self.outside,
@@ -227,13 +226,19 @@ class _CauseSearch(CauseRounds):
     def _add_standing(self) -> None:
         """Add the causes that stand out of a background of small effects."""
         data, task = self.start.data, self.start.data.task
+        if self._shift_starts(self.plain):
+            return self._add_standing()
         wanted = self._list_wanted()
         small = [effect for effect in wanted if effect != PRESLIDING]
         self.tell("looking for causes", 0.3)
         large = PRESLIDING in wanted and is_misfit_large(task, self.plain)
         if large and self._add_bristles([self.plain], alone=True):  # else nothing arrives
             return
+        if large and self._bristles is not None and self._shift_starts(self._bristles.fits):
+            return self._add_standing()
         found = search_background(data, self.plain, self.start.guess, small, self.matters > 0)
+        if self._shift_starts(found.joint):
+            return self._add_standing()
         self.scores = run_score_tests(task, self.plain, small)
         self.visible |= {effect: score.visible for effect, score in self.scores.items()}
         found, p_values, base, curve = self._weigh_causes(found)
@@ -283,6 +288,19 @@ class _CauseSearch(CauseRounds):
             one = weigh_bristles(self.start.data, self.whole or self.base, without)
             self.named, self.considered = [*self.named, NamedCause(one, (one,), without)], [one]
         self.total = max(self.lack.excess, *(one.best.drop for one in self.named), 1.0)
+
+    def _shift_starts(self, at: Fits) -> bool:
+        """Begin anew with each push's samples moved in time, if the fit `at` says that its trigger
+        was off."""
+        start = shift_by_offsets(self.setup, self.start, at, self.tell)
+        if start is None:
+            return False
+        folds = self.validation.folds
+        anew = self.begin(self.setup, start, folds, self.matters, self.tell)
+        self.start, self.validation = anew.start, anew.validation
+        self.plain, self.lack, self.base = anew.plain, anew.lack, anew.base
+        self.__dict__.pop("_bristles", None)  # which were fitted to the samples as they were
+        return True
 
     def _weigh_causes(
         self, found: BackgroundSearch
@@ -375,21 +393,3 @@ class _CauseSearch(CauseRounds):
         self.named, self.considered = [NamedCause(one, (one,), plain)], [one]
         self.total, self.explained = max(self.lack.excess, one.drop), True
         return True
-
-    def _does_matter(self, one: NamedCause, at: Fits) -> bool:
-        """Whether an effect of the fit `at` changes as much as matters, and is unusual."""
-        changes = measure_changes(self.start.data.task, one.without, at, one.best.effect)
-        usual = one.best.effect in self.usual
-        if usual or self.share > BACKGROUND:  # mu_s moves by what others do in its place
-            small = _SURELY * max(self.share, USUAL_SHARE) * UNIT_CHANGE if usual else 0.0
-            return changes.count_reading(one.best.effect, usual) >= max(small, self.matters)
-        return changes.as_mu_s >= self.matters
-
-    def _leave_out(self, base: Fits, *effects: str, enough: float = np.inf) -> Fits:
-        """Return the fit `base` (an ensemble of one) without some of its effects, all that is free
-        fitted anew, to its end where it is worse by less than `enough` in chi-square."""
-        if not effects:
-            return base
-        task = self.start.data.task
-        gone = [task.model.coordinates.indices(numbers_of(effect)) for effect in effects]
-        return ensemble_refits.refit_without(task, base, self.plain, gone, _ROUNDS_WITHOUT, enough)

@@ -34,6 +34,7 @@ from difffric.diagnosis.data import (
 from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.extended_setup import extend_rig, strip_effects
 from difffric.diagnosis.impossible_measurements import find_unreachable
+from difffric.diagnosis.inferred.start_offsets import find_start_offsets, shift_starts
 from difffric.diagnosis.lack_of_fit import is_misfit_large, measure_lack_of_fit
 from difffric.estimation.ensembles import ensemble, ensemble_refits, friction_scan
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
@@ -66,6 +67,8 @@ _BETTER = 1.0
 """By how much -2 log likelihood must be lower for a fit without an effect to be another optimum."""
 _SHARE = 0.01
 """The same as a share of what the effect explains; the larger of the two counts."""
+_MOST_SHIFTS = 3
+"""How often samples are moved in time at most, each time where the next fit asks for it."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,8 @@ class SearchStart:
     """the plain fit, with the effects that the set-up has"""
     guess: Fits
     """the set-up as it was given"""
+    offsets: tuple[NDArray, ...] = ()
+    """by how much the samples of each push (n,) were moved back in time [s], each time"""
 
 
 def prepare_start(
@@ -148,6 +153,22 @@ def prepare_start(
         at = _add_known(data.task, at, known)
         guess = replace(guess, scatter=at.scatter)
     return SearchStart(data, own, fitted, tuple(known), at, guess)
+
+
+def shift_by_offsets(setup: Setup, start: SearchStart, at: Fits, tell: Tell) -> SearchStart | None:
+    """Start anew with the samples of recorded pushes moved in time by the start offsets that the
+    fit `at` (an ensemble of one) asks for; None: by none, or it was done often enough."""
+    data = start.data
+    if data.reduction is None or data.measured.motion is not None:
+        return None  # nothing was triggered, or it is recorded what drove the push
+    if len(start.offsets) == _MOST_SHIFTS:
+        return None
+    offsets = find_start_offsets(data.task, at)
+    if offsets is None:
+        return None
+    shifted = shift_starts(data.reduction.recordings, offsets)
+    anew = prepare_start(setup, shifted, tell, use_data_mass=True)
+    return replace(anew, offsets=(*start.offsets, offsets))
 
 
 def _add_known(task: EnsembleTask, fits: Fits, known: Mapping[str, float]) -> Fits:

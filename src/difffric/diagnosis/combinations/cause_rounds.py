@@ -13,9 +13,12 @@ from typing import Any
 import numpy as np
 
 from difffric.diagnosis.alternatives import find_alternatives
+from difffric.diagnosis.background.naming import BACKGROUND, USUAL_SHARE
+from difffric.diagnosis.background.small_effects import UNIT_CHANGE
 from difffric.diagnosis.combinations.explanation import explain_table
 from difffric.diagnosis.conclusion import NamedCause
 from difffric.diagnosis.exploration import CandidateCause, explore, is_promising
+from difffric.diagnosis.inferred.changes import measure_changes
 from difffric.diagnosis.lack_of_fit import is_misfit_large, measure_lack_of_fit
 from difffric.diagnosis.score_test import SIGNIFICANT, Score, compute_p_value, run_score_tests
 from difffric.diagnosis.start import find_better_base, find_better_optimum
@@ -38,6 +41,11 @@ _NOTHING_LEFT = 0.01
 _ROUNDS = 40
 """Steps at most of a refit with one more cause: strong effects take many, and what is left has to
 be the best fit's."""
+_SURELY = 3.0
+"""How many times as much as the small effects of its rig an effect that may be one of them must
+change F_p or d to be a cause: where pushes are on an edge a little does so."""
+_ROUNDS_WITHOUT = 6
+"""Steps at most of a refit that leaves a cause out again, which begins near its end."""
 
 
 class CauseRounds:
@@ -58,8 +66,9 @@ class CauseRounds:
     notes: Any
     validation: Any
     tell: Any
-    _does_matter: Any
-    _leave_out: Any
+    matters: Any
+    share: Any
+    usual: Any
 
     def add_combination(self) -> None:
         """Add the combination that explains a table best of whose distances no k, b and k_v can
@@ -240,3 +249,21 @@ class CauseRounds:
             found = find_alternatives(data.task, self.plain, self.base, one.best, more)
             whole.append(replace(one, others=(*one.others, *found)))
         self.named = whole
+
+    def _does_matter(self, one: NamedCause, at: Fits) -> bool:
+        """Whether an effect of the fit `at` changes as much as matters, and is unusual."""
+        changes = measure_changes(self.start.data.task, one.without, at, one.best.effect)
+        usual = one.best.effect in self.usual
+        if usual or self.share > BACKGROUND:  # mu_s moves by what others do in its place
+            small = _SURELY * max(self.share, USUAL_SHARE) * UNIT_CHANGE if usual else 0.0
+            return changes.count_reading(one.best.effect, usual) >= max(small, self.matters)
+        return changes.as_mu_s >= self.matters
+
+    def _leave_out(self, base: Fits, *effects: str, enough: float = np.inf) -> Fits:
+        """Return the fit `base` (an ensemble of one) without some of its effects, all that is free
+        fitted anew, to its end where it is worse by less than `enough` in chi-square."""
+        if not effects:
+            return base
+        task = self.start.data.task
+        gone = [task.model.coordinates.indices(numbers_of(effect)) for effect in effects]
+        return ensemble_refits.refit_without(task, base, self.plain, gone, _ROUNDS_WITHOUT, enough)
