@@ -50,7 +50,7 @@ from difffric.diagnosis.exploration import CandidateCause, explore_bristles
 from difffric.diagnosis.extended_setup import describe_plain
 from difffric.diagnosis.impossible_measurements import find_unreachable
 from difffric.diagnosis.inferred.friction import DWELL_EFFECT
-from difffric.diagnosis.inferred.start_offsets import describe_offsets
+from difffric.diagnosis.inferred.push_offsets import describe_offsets
 from difffric.diagnosis.lack_of_fit import LackOfFit, is_misfit_large, measure_lack_of_fit
 from difffric.diagnosis.location import Location
 from difffric.diagnosis.score_test import SIGNIFICANT, Score, run_score_tests

@@ -34,7 +34,7 @@ from difffric.diagnosis.data import (
 from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.extended_setup import extend_rig, strip_effects
 from difffric.diagnosis.impossible_measurements import find_unreachable
-from difffric.diagnosis.inferred.start_offsets import find_start_offsets, shift_starts
+from difffric.diagnosis.inferred.push_offsets import PushOffsets, find_push_offsets
 from difffric.diagnosis.lack_of_fit import is_misfit_large, measure_lack_of_fit
 from difffric.estimation.ensembles import ensemble, ensemble_refits, friction_scan
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
@@ -86,8 +86,8 @@ class SearchStart:
     """the plain fit, with the effects that the set-up has"""
     guess: Fits
     """the set-up as it was given"""
-    offsets: tuple[NDArray, ...] = ()
-    """by how much the samples of each push (n,) were moved back in time [s], each time"""
+    offsets: tuple[PushOffsets, ...] = ()
+    """by how much the samples of the pushes were moved back, each time"""
 
 
 def prepare_start(
@@ -163,10 +163,10 @@ def shift_by_offsets(setup: Setup, start: SearchStart, at: Fits, tell: Tell) -> 
         return None  # nothing was triggered, or it is recorded what drove the push
     if len(start.offsets) == _MOST_SHIFTS:
         return None
-    offsets = find_start_offsets(data.task, at)
+    offsets = find_push_offsets(data.task, at)
     if offsets is None:
         return None
-    shifted = shift_starts(data.reduction.recordings, offsets)
+    shifted = offsets.take_from(data.reduction.recordings)
     anew = prepare_start(setup, shifted, tell, use_data_mass=True)
     return replace(anew, offsets=(*start.offsets, offsets))
 

@@ -1,0 +1,205 @@
+"""By how much each push's trigger, and the zero of its force, are off.
+
+A trigger that is off by microseconds moves all samples of a push in time, of each push by another
+amount; a force sensor's zero wanders between pushes. Good sensors see both, and no effect explains
+them: they are as random as friction is from push to push. So they are estimated beside each push's
+own mu_s, and its samples are moved back, as soon as that explains much of what a fit leaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from difffric.diagnosis.lack_of_fit import measure_lack_of_fit
+from difffric.estimation.ensembles import ensemble
+from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
+from difffric.measurements.recordings import Channel, Recording, Recordings
+
+_FEWEST = 6
+"""Pushes that can show whether offsets are random at least."""
+_TURNS = 4
+"""Steps of Gauss and Newton to the offsets."""
+_STEPS = (1e-7, 1e-3)
+"""Half of the differences over which residuals are differenced: in time [s] and in force [N]."""
+_MUCH = 0.4
+"""Share of what a fit leaves beyond the noise that offsets have to explain. Of 30 fits to data
+without any, to causes outside the catalogue, triggers explained half at most where they varied with
+the speed, and a third at most where they did not."""
+_MOST, _LEFT = 0.8, 2.0
+"""The same where more than so many times the noise's squares are left: such a fit may be elsewhere,
+and the push's time makes up for anything."""
+_RANDOM = 0.25
+"""Share of the offsets' variance that their speed must not explain."""
+_BY_CHANCE = 1e-9
+"""How probable it may be at most that noise alone lets offsets explain as much."""
+_POWERS = 3
+"""Powers of log speed, the constant among them, that may explain offsets: what comes late for
+another reason does so by the speed."""
+
+
+@dataclass(frozen=True)
+class PushOffsets:
+    """By how much n pushes are off."""
+
+    late: NDArray
+    """(n,) how much later than its samples say each push began [s]"""
+    zero: NDArray
+    """(n,) what its force read where there was none [N]"""
+
+    def take_from(self, recordings: Recordings) -> Recordings:
+        """Return the recordings with their samples moved back by the offsets."""
+        each = zip(recordings.pushes, self.late, self.zero, strict=True)
+        moved = tuple(_move(push, float(late), float(zero)) for push, late, zero in each)
+        return replace(recordings, pushes=moved)
+
+
+def _move(push: Recording, late: float, zero: float) -> Recording:
+    def begin(channel: Channel | None) -> Channel | None:
+        return None if channel is None else replace(channel, start=channel.start - late)
+
+    force, position, pusher = map(begin, (push.force, push.position, push.pusher))
+    if force is not None and zero:
+        read = force.read
+        force = replace(force, read=lambda lo, hi: read(lo, hi) - zero)
+    return replace(push, force=force, position=position, pusher=pusher)
+
+
+def describe_offsets(shifts: Sequence[PushOffsets]) -> tuple[str, ...]:
+    """Say by how much the samples of the pushes were moved, by one shift after the other."""
+    said: list[str] = []
+    if not shifts:
+        return ()
+    late, zero = (np.sum([getattr(x, k) for x in shifts], axis=0) for k in ("late", "zero"))
+    if late.any():
+        size = f"{1e6 * np.sqrt(np.mean(late**2)):.3g} us"
+        said.append(f"the triggers are off by {size} (rms): each push's samples were moved in time")
+    if zero.any():
+        size = f"{np.sqrt(np.mean(zero**2)):.3g} N"
+        said.append(f"the force's zero is off by {size} (rms), in each push by another amount")
+    return tuple(said)
+
+
+def find_push_offsets(task: EnsembleTask, fits: Fits) -> PushOffsets | None:
+    """Return the offsets of n pushes; None: the fit (an ensemble of one, to recordings) leaves
+    nothing that random ones explain.
+
+    The plain parameters and each push's own mu_s move with them, effects stand still: what comes
+    late by one of them is not to be taken for a trigger.
+    """
+    if task.n < _FEWEST:
+        return None
+    at = replace(fits, extra=((),), gram=None, residual=None, damping=None)
+    speeds = np.asarray(task.model.pushes.velocity)
+    before = _measure_squares(_ask(task, at, np.zeros((task.n, 2))))
+    kinds: tuple[int, ...] = (0, 1)
+    while kinds:
+        found = _fit_offsets(task, at, kinds)
+        if found is None:
+            return None
+        sizes = found.offsets[:, kinds].T, found.errors.T
+        real = [_is_real(*one, speeds) for one in zip(*sizes, strict=True)]
+        if all(real):
+            drop = before - found.squares
+            share = _MUCH if found.squares < _LEFT * task.counts.sum() else _MOST
+            enough = drop > share * max(measure_lack_of_fit(task, fits).excess, 0.0)
+            return PushOffsets(*found.offsets.T) if enough else None
+        kinds = tuple(kind for kind, there in zip(kinds, real, strict=True) if there)
+    return None
+
+
+class _Fitted(NamedTuple):
+    """Offsets that were fitted."""
+
+    offsets: NDArray
+    """(n, 2) in time [s] and force [N]; zero: of a kind that was not asked for"""
+    errors: NDArray
+    """(n, kinds) standard errors, all else known"""
+    squares: float
+    """the sum of squares that is left"""
+
+
+def _fit_offsets(task: EnsembleTask, at: Fits, kinds: tuple[int, ...]) -> _Fitted | None:
+    """Fit offsets of these `kinds` from the fit `at`; None: they cannot be told."""
+    offsets, errors = np.zeros((task.n, 2)), np.zeros((task.n, len(kinds)))
+    for _ in range(_TURNS):
+        at, step, errors = _step(task, at, offsets, kinds)
+        if not np.isfinite(step).all():
+            return None
+        offsets[:, kinds] += step
+    return _Fitted(offsets, errors, _measure_squares(_ask(task, at, offsets)))
+
+
+def _ask(task: EnsembleTask, fits: Fits, offsets: NDArray, derivatives: bool = True) -> NDArray:
+    """Return the rows (n, any, D + 1) of whitened derivatives and residuals of `fits`, with the
+    samples of the pushes moved back by `offsets` (n, 2); D is 0 without derivatives."""
+    pushes, (late, zero) = task.model.pushes, offsets.T[..., None]
+    force, position = (one._replace(t=one.t - late) for one in pushes.data)
+    data = force._replace(y=force.y - zero), position
+    moved = replace(task.model, pushes=pushes._replace(data=data))
+    c = np.repeat(fits.c, task.n, axis=0)
+    c[:, 0] = fits.mu[0, task.condition] + fits.own[0]
+    along = ensemble.directions(task, fits)[0, : None if derivatives else 0]
+    rows = moved.answers(np.arange(task.n), c, along, keep_rows=True).rows
+    return (rows / fits.spread[0][:, None, None]).reshape(task.n, -1, rows.shape[-1])
+
+
+def _measure_squares(rows: NDArray) -> float:
+    """Return the sum of squares of residuals."""
+    return float((rows[..., -1] ** 2).sum())
+
+
+def _step(
+    task: EnsembleTask, at: Fits, offsets: NDArray, kinds: tuple[int, ...]
+) -> tuple[Fits, NDArray, NDArray]:
+    """Return the fit and the changes (n, kinds) of the pushes' offsets where, by the slopes at
+    them, the sum of squares is least; and the offsets' standard errors, all else known."""
+    rows, shared, scatter = _ask(task, at, offsets), task.shared, float(at.scatter[0])
+    J, r = rows[..., :-1], rows[..., -1]
+    # What is each push's own: its mu_s, which scatters, and its offsets.
+    own = [J[..., 0], *(_differentiate(task, at, offsets, kind) for kind in kinds)]
+    B, free = np.stack(own, axis=-1), np.zeros(len(kinds))
+    U = np.swapaxes(B, 1, 2) @ B + np.diag([scatter**-2, *free])
+    b = np.einsum("nma,nm->na", B, r)
+    b[:, 0] += at.own[0] / scatter**2
+    A = np.zeros((*r.shape, task.conditions + len(shared)))
+    A[np.arange(task.n), :, task.condition] = J[..., 0]
+    A[..., task.conditions :] = J[..., 1:]
+    if not np.isfinite(U).all() or (np.einsum("naa->na", U) == 0).any():
+        lost = np.full((task.n, len(kinds)), np.nan)
+        return at, lost, lost
+    known = np.linalg.inv(U)
+    W = np.einsum("nmp,nma->npa", A, B)
+    H = np.einsum("nmp,nmq->pq", A, A) - np.einsum("npa,nab,nqb->pq", W, known, W)
+    g = np.einsum("nmp,nm->p", A, r) - np.einsum("npa,nab,nb->p", W, known, b)
+    x = ensemble.solve(H[None], g[None])[0]
+    y = -np.einsum("nab,nb->na", known, b + np.einsum("npa,p->na", W, x))
+    c = at.c.copy()
+    c[0, list(shared)] += x[task.conditions :]
+    moved = replace(at, c=c, mu=at.mu + x[: task.conditions], own=at.own + y[:, 0])
+    return moved, y[:, 1:], np.sqrt(np.einsum("naa->na", known)[:, 1:])
+
+
+def _differentiate(task: EnsembleTask, at: Fits, offsets: NDArray, kind: int) -> NDArray:
+    """Return by how much the residuals (n, any) change with the pushes' offsets of a `kind`."""
+    by = np.zeros(2)
+    by[kind] = _STEPS[kind]
+    more, less = (_ask(task, at, offsets + sign * by, False)[..., -1] for sign in (1, -1))
+    return (more - less) / (2 * _STEPS[kind])
+
+
+def _is_real(offsets: NDArray, errors: NDArray, speeds: NDArray) -> bool:
+    """Whether offsets (n,), known to within `errors`, are no noise, and vary by more than goes with
+    the `speeds`."""
+    if ((offsets / errors) ** 2).sum() < scipy.stats.chi2.isf(_BY_CHANCE, len(offsets)):
+        return False
+    powers = np.log(speeds / speeds.mean())[:, None] ** np.arange(_POWERS)
+    fitted, _, rank, _ = np.linalg.lstsq(powers, offsets, rcond=None)
+    rest = offsets - powers @ fitted
+    random = float((rest**2).sum() / (len(offsets) - rank) - (errors**2).mean())
+    return random > _RANDOM * float(np.var(offsets, ddof=1))

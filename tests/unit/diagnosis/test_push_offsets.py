@@ -1,0 +1,130 @@
+"""A trigger that is off, and a force whose zero wanders, move the samples of each push: they are
+moved back."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import difffric as df
+from difffric.diagnosis.inferred.push_offsets import (
+    PushOffsets,
+    _is_real,
+    describe_offsets,
+    find_push_offsets,
+)
+from difffric.diagnosis.start import fit_plain_model, prepare_start, shift_by_offsets
+from difffric.measurements.recordings import Channel
+from difffric.progress import silent
+from difffric.rig.setup_toml import read_setup
+from tests.hidden import random_case, record, simulate, write
+from tests.hidden.simulate import lateness
+from tests.unit.diagnosis.analysis import Analysis
+
+CLEAN = replace(random_case(7_711_000), jitter=5e-6)
+SPEEDS = np.geomspace(0.008, 0.08, 14)
+
+
+@pytest.fixture(scope="module")
+def begin(tmp_path_factory):
+    """Case -> (its set-up, where its search starts, its plain fit)."""
+
+    def begin(case):
+        folder = tmp_path_factory.mktemp("case")
+        data = df.load(write(case, folder))
+        setup = read_setup(folder / "setup.toml")
+        start = prepare_start(setup, data, silent)
+        return setup, start, fit_plain_model(start.data.task, start.at, start.guess)
+
+    return begin
+
+
+@pytest.mark.parametrize("jitter, zeros", [(5e-6, 0.0), (20e-6, 0.0), (0.0, 1.0), (5e-6, 0.2)])
+def test_offsets_are_those_of_triggers_and_zeros_and_no_more_are_left(
+    jitter, zeros, begin, monkeypatch
+):
+    case = replace(CLEAN, jitter=jitter)
+    zero = move_zeros(monkeypatch, zeros)
+    setup, start, plain = begin(case)
+    offsets = find_push_offsets(start.data.task, plain)
+    assert offsets is not None
+    fast = np.array([push.velocity for push in case.pushes]) > 0.02
+    np.testing.assert_allclose(offsets.late[fast], lateness(case)[fast], atol=1e-6)
+    np.testing.assert_allclose(offsets.late, lateness(case), atol=5e-6)
+    np.testing.assert_allclose(offsets.zero, zero, atol=5 * case.noise.force / 10)
+    anew = shift_by_offsets(setup, start, plain, silent)
+    assert anew is not None and len(anew.offsets) == 1
+    again = fit_plain_model(anew.data.task, anew.at, anew.guess)
+    assert find_push_offsets(anew.data.task, again) is None
+    said = " ".join(describe_offsets(anew.offsets))
+    assert ("triggers" in said) == (jitter > 0) and ("zero" in said) == (zeros > 0)
+
+
+def move_zeros(monkeypatch, size):
+    """The force of every push that is recorded from now on has a zero of its own [N]: (n,)."""
+    zero = size * np.random.default_rng(5).standard_normal(len(CLEAN.pushes))
+
+    def wander(case):
+        each = zip(record(case), zero, strict=True)
+        return [replace(one, force=one.force + by) for one, by in each]
+
+    monkeypatch.setattr(simulate, "record", wander)
+    return zero
+
+
+@pytest.mark.parametrize("hidden", [None, "soft_layer", "force_offset"])
+def test_no_offsets_where_pushes_are_not_off_at_random(hidden, begin):
+    case = replace(CLEAN, jitter=0.0)
+    case = case if hidden is None else random_case(1_000_001, hidden, 40.0)
+    _, start, plain = begin(case)
+    assert find_push_offsets(start.data.task, plain) is None
+    assert describe_offsets(()) == ()
+
+
+@given(st.lists(st.tuples(st.floats(-1e-3, 1e-3), st.floats(-5, 5)), min_size=2, max_size=2))
+def test_moving_back_is_the_inverse_of_moving(offsets):
+    channel = Channel.of(np.arange(5.0), 1e-4, -2e-3, "N")
+    pushes = (
+        df.Recording(0.05, force=channel, position=channel),
+        df.Recording(0.01, position=channel),
+    )
+    by = np.array(offsets).T
+    moved = PushOffsets(*by).take_from(df.Recordings(pushes))
+    back = PushOffsets(*-by).take_from(moved)
+    for before, there, after, (late, zero) in zip(pushes, moved, back, offsets, strict=True):
+        assert (before.force is None) == (there.force is None)
+        for name, off in (("force", zero), ("position", 0.0)):
+            one, two, three = (getattr(push, name) for push in (before, there, after))
+            if one is not None:
+                assert two.start == pytest.approx(one.start - late, abs=1e-15)
+                assert three.start == pytest.approx(one.start, abs=1e-15)
+                np.testing.assert_allclose(two.samples, one.samples - off, atol=1e-14)
+                np.testing.assert_allclose(three.samples, one.samples, atol=1e-14)
+
+
+@given(st.integers(0, 1000), st.lists(st.floats(-3, 3), min_size=3, max_size=3))
+def test_what_goes_with_the_speed_is_no_offset(seed, powers):
+    smooth = 1e-6 * np.log(SPEEDS)[:, None] ** np.arange(3) @ np.array(powers)
+    errors = np.full(14, 1e-7)
+    noise = np.random.default_rng(seed).standard_normal(14)
+    assert not _is_real(smooth, errors, SPEEDS)
+    assert not _is_real(1e-7 * noise, errors, SPEEDS)  # nothing but its error
+    assert not _is_real(smooth + 1e-7 * noise, 2 * errors, SPEEDS)
+    assert _is_real(5 * np.ptp(smooth) * noise + 1e-5 * noise, errors, SPEEDS)
+
+
+def test_a_rig_with_nothing_but_jitter_is_adequate(tmp_path):
+    found = Analysis(CLEAN, tmp_path, matters=0.005).found
+    assert found.verdict == "adequate" and not found.causes and found.remaining is None
+    assert any("triggers are off by" in note for note in found.notes)
+    np.testing.assert_allclose(found.mu_s, [push.mu_s for push in CLEAN.pushes], rtol=1e-3)
+
+
+@pytest.mark.slow
+def test_a_cause_is_named_where_triggers_are_off(tmp_path):
+    case = random_case(7_705_000, "pusher_speed", change=0.03, jitter=5e-6)
+    one = Analysis(case, tmp_path, matters=0.005)
+    assert one.found.verdict == "named" and one.first == {"pusher_speed"}
+    assert any("triggers are off by" in note for note in one.found.notes)
