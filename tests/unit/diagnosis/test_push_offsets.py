@@ -1,5 +1,4 @@
-"""A trigger that is off, and a force whose zero wanders, move the samples of each push: they are
-moved back."""
+"""What is off in each push by another amount is corrected: trigger, zero of the force, speed."""
 
 from dataclasses import replace
 
@@ -41,12 +40,15 @@ def begin(tmp_path_factory):
     return begin
 
 
-@pytest.mark.parametrize("jitter, zeros", [(5e-6, 0.0), (20e-6, 0.0), (0.0, 1.0), (5e-6, 0.2)])
-def test_offsets_are_those_of_triggers_and_zeros_and_no_more_are_left(
-    jitter, zeros, begin, monkeypatch
+@pytest.mark.parametrize(
+    "jitter, zeros, speeds",
+    [(5e-6, 0, 0), (20e-6, 0, 0), (0, 1, 0), (0, 0, 2e-4), (5e-6, 0.2, 2e-4)],
+)
+def test_offsets_are_those_of_the_pushes_and_no_more_are_left(
+    jitter, zeros, speeds, begin, monkeypatch
 ):
     case = replace(CLEAN, jitter=jitter)
-    zero = move_zeros(monkeypatch, zeros)
+    zero, faster = disturb(monkeypatch, zeros, speeds)
     setup, start, plain = begin(case)
     offsets = find_push_offsets(start.data.task, plain)
     assert offsets is not None
@@ -54,24 +56,33 @@ def test_offsets_are_those_of_triggers_and_zeros_and_no_more_are_left(
     np.testing.assert_allclose(offsets.late[fast], lateness(case)[fast], atol=1e-6)
     np.testing.assert_allclose(offsets.late, lateness(case), atol=5e-6)
     np.testing.assert_allclose(offsets.zero, zero, atol=5 * case.noise.force / 10)
+    np.testing.assert_allclose(offsets.faster, faster, atol=5e-5)
     anew = shift_by_offsets(setup, start, plain, silent)
     assert anew is not None and len(anew.offsets) == 1
     again = fit_plain_model(anew.data.task, anew.at, anew.guess)
     assert find_push_offsets(anew.data.task, again) is None
     said = " ".join(describe_offsets(anew.offsets))
-    assert ("triggers" in said) == (jitter > 0) and ("zero" in said) == (zeros > 0)
+    for word, size in (("triggers", jitter), ("zero", zeros), ("speeds", speeds)):
+        assert (word in said) == (size > 0)
 
 
-def move_zeros(monkeypatch, size):
-    """The force of every push that is recorded from now on has a zero of its own [N]: (n,)."""
-    zero = size * np.random.default_rng(5).standard_normal(len(CLEAN.pushes))
+def disturb(monkeypatch, zeros, speeds):
+    """The force of every push that is recorded from now on has a zero of its own [N], and its
+    speed is off by a share of its own: (n,) each."""
+    zero, faster = np.random.default_rng(5).standard_normal((2, len(CLEAN.pushes)))
 
     def wander(case):
-        each = zip(record(case), zero, strict=True)
-        return [replace(one, force=one.force + by) for one, by in each]
+        moved = zip(case.pushes, faster, strict=True)
+        pushes = tuple(replace(push, velocity=push.velocity * (1 + by)) for push, by in moved)
+        made = record(replace(case, pushes=pushes))
+        return [
+            replace(one, push=push, force=one.force + by)
+            for one, push, by in zip(made, case.pushes, zero, strict=True)
+        ]
 
+    zero, faster = zeros * zero, speeds * faster
     monkeypatch.setattr(simulate, "record", wander)
-    return zero
+    return zero, faster
 
 
 @pytest.mark.parametrize("hidden", [None, "soft_layer", "force_offset"])
@@ -83,7 +94,13 @@ def test_no_offsets_where_pushes_are_not_off_at_random(hidden, begin):
     assert describe_offsets(()) == ()
 
 
-@given(st.lists(st.tuples(st.floats(-1e-3, 1e-3), st.floats(-5, 5)), min_size=2, max_size=2))
+@given(
+    st.lists(
+        st.tuples(st.floats(-1e-3, 1e-3), st.floats(-5, 5), st.floats(-0.1, 0.1)),
+        min_size=2,
+        max_size=2,
+    )
+)
 def test_moving_back_is_the_inverse_of_moving(offsets):
     channel = Channel.of(np.arange(5.0), 1e-4, -2e-3, "N")
     pushes = (
@@ -92,9 +109,13 @@ def test_moving_back_is_the_inverse_of_moving(offsets):
     )
     by = np.array(offsets).T
     moved = PushOffsets(*by).take_from(df.Recordings(pushes))
-    back = PushOffsets(*-by).take_from(moved)
-    for before, there, after, (late, zero) in zip(pushes, moved, back, offsets, strict=True):
+    back = PushOffsets(-by[0], -by[1], 1 / (1 + by[2]) - 1).take_from(moved)
+    for before, there, after, (late, zero, faster) in zip(
+        pushes, moved, back, offsets, strict=True
+    ):
         assert (before.force is None) == (there.force is None)
+        assert there.velocity == pytest.approx(before.velocity * (1 + faster), rel=1e-14)
+        assert after.velocity == pytest.approx(before.velocity, rel=1e-14)
         for name, off in (("force", zero), ("position", 0.0)):
             one, two, three = (getattr(push, name) for push in (before, there, after))
             if one is not None:

@@ -1,9 +1,10 @@
-"""By how much each push's trigger, and the zero of its force, are off.
+"""By how much each push's trigger, the zero of its force, and its speed are off.
 
 A trigger that is off by microseconds moves all samples of a push in time, of each push by another
-amount; a force sensor's zero wanders between pushes. Good sensors see both, and no effect explains
-them: they are as random as friction is from push to push. So they are estimated beside each push's
-own mu_s, and its samples are moved back, as soon as that explains much of what a fit leaves.
+amount; a force sensor's zero wanders between pushes; no drive goes at the very speed that was asked
+for. Good sensors see all three, and no effect explains them: they are as random as friction is from
+push to push. So they are estimated beside each push's own mu_s, and its record is corrected, as
+soon as that explains much of what a fit leaves.
 """
 
 from __future__ import annotations
@@ -25,8 +26,9 @@ _FEWEST = 6
 """Pushes that can show whether offsets are random at least."""
 _TURNS = 4
 """Steps of Gauss and Newton to the offsets."""
-_STEPS = (1e-7, 1e-3)
-"""Half of the differences over which residuals are differenced: in time [s] and in force [N]."""
+_STEPS = (1e-7, 1e-3, 1e-5)
+"""Half of the differences over which residuals are differenced: in time [s], in force [N] and in
+speed, as a share."""
 _MUCH = 0.4
 """Share of what a fit leaves beyond the noise that offsets have to explain. Of 30 fits to data
 without any, to causes outside the catalogue, triggers explained half at most where they varied with
@@ -51,15 +53,17 @@ class PushOffsets:
     """(n,) how much later than its samples say each push began [s]"""
     zero: NDArray
     """(n,) what its force read where there was none [N]"""
+    faster: NDArray
+    """(n,) by what share it went faster than was asked for"""
 
     def take_from(self, recordings: Recordings) -> Recordings:
-        """Return the recordings with their samples moved back by the offsets."""
-        each = zip(recordings.pushes, self.late, self.zero, strict=True)
-        moved = tuple(_move(push, float(late), float(zero)) for push, late, zero in each)
-        return replace(recordings, pushes=moved)
+        """Return the recordings corrected by the offsets."""
+        each = zip(recordings.pushes, self.late, self.zero, self.faster, strict=True)
+        corrected = tuple(_correct(push, *map(float, own)) for push, *own in each)
+        return replace(recordings, pushes=corrected)
 
 
-def _move(push: Recording, late: float, zero: float) -> Recording:
+def _correct(push: Recording, late: float, zero: float, faster: float) -> Recording:
     def begin(channel: Channel | None) -> Channel | None:
         return None if channel is None else replace(channel, start=channel.start - late)
 
@@ -67,22 +71,27 @@ def _move(push: Recording, late: float, zero: float) -> Recording:
     if force is not None and zero:
         read = force.read
         force = replace(force, read=lambda lo, hi: read(lo, hi) - zero)
-    return replace(push, force=force, position=position, pusher=pusher)
+    speed = push.velocity * (1.0 + faster)
+    return replace(push, velocity=speed, force=force, position=position, pusher=pusher)
 
 
 def describe_offsets(shifts: Sequence[PushOffsets]) -> tuple[str, ...]:
-    """Say by how much the samples of the pushes were moved, by one shift after the other."""
+    """Say by how much the records of the pushes were corrected, by one shift after the other."""
     said: list[str] = []
-    if not shifts:
-        return ()
-    late, zero = (np.sum([getattr(x, k) for x in shifts], axis=0) for k in ("late", "zero"))
-    if late.any():
-        size = f"{1e6 * np.sqrt(np.mean(late**2)):.3g} us"
-        said.append(f"the triggers are off by {size} (rms): each push's samples were moved in time")
-    if zero.any():
-        size = f"{np.sqrt(np.mean(zero**2)):.3g} N"
-        said.append(f"the force's zero is off by {size} (rms), in each push by another amount")
+    for name, what, unit, factor in _SAID if shifts else ():
+        whole = factor * np.sum([getattr(one, name) for one in shifts], axis=0)
+        if whole.any():
+            size = f"{np.sqrt(np.mean(whole**2)):.3g} {unit}"
+            said.append(f"{what} off by {size} (rms), in each push by another amount: corrected")
     return tuple(said)
+
+
+_SAID = (
+    ("late", "triggers are", "us", 1e6),
+    ("zero", "the force's zero is", "N", 1.0),
+    ("faster", "speeds are", "%", 100.0),
+)
+"""What is said of each kind of offset, in which unit."""
 
 
 def find_push_offsets(task: EnsembleTask, fits: Fits) -> PushOffsets | None:
@@ -96,8 +105,8 @@ def find_push_offsets(task: EnsembleTask, fits: Fits) -> PushOffsets | None:
         return None
     at = replace(fits, extra=((),), gram=None, residual=None, damping=None)
     speeds = np.asarray(task.model.pushes.velocity)
-    before = _measure_squares(_ask(task, at, np.zeros((task.n, 2))))
-    kinds: tuple[int, ...] = (0, 1)
+    before = _measure_squares(_ask(task, at, np.zeros((task.n, len(_STEPS)))))
+    kinds = tuple(range(len(_STEPS)))
     while kinds:
         found = _fit_offsets(task, at, kinds)
         if found is None:
@@ -117,7 +126,7 @@ class _Fitted(NamedTuple):
     """Offsets that were fitted."""
 
     offsets: NDArray
-    """(n, 2) in time [s] and force [N]; zero: of a kind that was not asked for"""
+    """(n, 3) in time [s], force [N] and speed; zero: of a kind that was not asked for"""
     errors: NDArray
     """(n, kinds) standard errors, all else known"""
     squares: float
@@ -126,7 +135,7 @@ class _Fitted(NamedTuple):
 
 def _fit_offsets(task: EnsembleTask, at: Fits, kinds: tuple[int, ...]) -> _Fitted | None:
     """Fit offsets of these `kinds` from the fit `at`; None: they cannot be told."""
-    offsets, errors = np.zeros((task.n, 2)), np.zeros((task.n, len(kinds)))
+    offsets, errors = np.zeros((task.n, len(_STEPS))), np.zeros((task.n, len(kinds)))
     for _ in range(_TURNS):
         at, step, errors = _step(task, at, offsets, kinds)
         if not np.isfinite(step).all():
@@ -137,11 +146,12 @@ def _fit_offsets(task: EnsembleTask, at: Fits, kinds: tuple[int, ...]) -> _Fitte
 
 def _ask(task: EnsembleTask, fits: Fits, offsets: NDArray, derivatives: bool = True) -> NDArray:
     """Return the rows (n, any, D + 1) of whitened derivatives and residuals of `fits`, with the
-    samples of the pushes moved back by `offsets` (n, 2); D is 0 without derivatives."""
-    pushes, (late, zero) = task.model.pushes, offsets.T[..., None]
-    force, position = (one._replace(t=one.t - late) for one in pushes.data)
-    data = force._replace(y=force.y - zero), position
-    moved = replace(task.model, pushes=pushes._replace(data=data))
+    pushes corrected by `offsets` (n, 3); D is 0 without derivatives."""
+    pushes, (late, zero, faster) = task.model.pushes, offsets.T
+    force, position = (one._replace(t=one.t - late[:, None]) for one in pushes.data)
+    data = force._replace(y=force.y - zero[:, None]), position
+    speed = np.asarray(pushes.velocity) * (1.0 + faster)
+    moved = replace(task.model, pushes=pushes._replace(velocity=speed, data=data))
     c = np.repeat(fits.c, task.n, axis=0)
     c[:, 0] = fits.mu[0, task.condition] + fits.own[0]
     along = ensemble.directions(task, fits)[0, : None if derivatives else 0]
@@ -187,7 +197,7 @@ def _step(
 
 def _differentiate(task: EnsembleTask, at: Fits, offsets: NDArray, kind: int) -> NDArray:
     """Return by how much the residuals (n, any) change with the pushes' offsets of a `kind`."""
-    by = np.zeros(2)
+    by = np.zeros(len(_STEPS))
     by[kind] = _STEPS[kind]
     more, less = (_ask(task, at, offsets + sign * by, False)[..., -1] for sign in (1, -1))
     return (more - less) / (2 * _STEPS[kind])
