@@ -39,9 +39,10 @@ from difffric.diagnosis.background.naming import (
 )
 from difffric.diagnosis.background.search import (
     BackgroundSearch,
+    begin_search,
     fit_beside_background,
-    search_background,
     search_beyond_edge,
+    search_from,
 )
 from difffric.diagnosis.combinations.cause_rounds import CauseRounds
 from difffric.diagnosis.conclusion import Findings, NamedCause, conclude
@@ -236,7 +237,10 @@ class _CauseSearch(CauseRounds):
             return
         if large and self._bristles is not None and self._shift_starts(self._bristles.fits):
             return self._add_standing()
-        found = search_background(data, self.plain, self.start.guess, small, self.matters > 0)
+        search = begin_search(data, self.plain, self.start.guess, small, self.matters > 0)
+        if self._shift_starts(search.joint):
+            return self._add_standing()
+        found = search_from(search)
         if self._shift_starts(found.joint):
             return self._add_standing()
         self.scores = run_score_tests(task, self.plain, small)
@@ -290,8 +294,8 @@ class _CauseSearch(CauseRounds):
         self.total = max(self.lack.excess, *(one.best.drop for one in self.named), 1.0)
 
     def _shift_starts(self, at: Fits) -> bool:
-        """Begin anew with each push's samples moved in time, if the fit `at` says that its trigger
-        was off."""
+        """Begin anew with each push corrected, where the fit `at` says that its trigger, zero or
+        speed was off."""
         start = shift_by_offsets(self.setup, self.start, at, self.tell)
         if start is None:
             return False

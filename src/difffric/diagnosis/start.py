@@ -34,7 +34,11 @@ from difffric.diagnosis.data import (
 from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.extended_setup import extend_rig, strip_effects
 from difffric.diagnosis.impossible_measurements import find_unreachable
-from difffric.diagnosis.inferred.push_offsets import PushOffsets, find_push_offsets
+from difffric.diagnosis.inferred.push_offsets import (
+    PushOffsets,
+    compare_zeros,
+    find_push_offsets,
+)
 from difffric.diagnosis.lack_of_fit import is_misfit_large, measure_lack_of_fit
 from difffric.estimation.ensembles import ensemble, ensemble_refits, friction_scan
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
@@ -156,14 +160,15 @@ def prepare_start(
 
 
 def shift_by_offsets(setup: Setup, start: SearchStart, at: Fits, tell: Tell) -> SearchStart | None:
-    """Start anew with the samples of recorded pushes moved in time by the start offsets that the
-    fit `at` (an ensemble of one) asks for; None: by none, or it was done often enough."""
+    """Start anew with each recorded push corrected by its own offsets, as its quiet time or the fit
+    `at` (an ensemble of one) says; None: it has none, or that was done often enough."""
     data = start.data
     if data.reduction is None or data.measured.motion is not None:
         return None  # nothing was triggered, or it is recorded what drove the push
     if len(start.offsets) == _MOST_SHIFTS:
         return None
-    offsets = find_push_offsets(data.task, at)
+    zeros = None if start.offsets else compare_zeros(data.reduction)
+    offsets = zeros or find_push_offsets(data.task, at)
     if offsets is None:
         return None
     shifted = offsets.take_from(data.reduction.recordings)

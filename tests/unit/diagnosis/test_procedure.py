@@ -102,7 +102,7 @@ def test_what_explains_most_by_its_fit_is_named_though_linear_answers_miss_it(tm
 
 @pytest.mark.slow
 def test_strong_bristles_are_told_without_a_search_for_other_causes(tmp_path, monkeypatch):
-    monkeypatch.setattr(procedure, "search_background", None)  # nothing fitted beside them arrives
+    monkeypatch.setattr(procedure, "begin_search", None)  # nothing fitted beside them arrives
     one = Analysis(random_case(700001, "presliding"), tmp_path)
     assert [cause.id for cause in one.found.causes] == ["presliding"]
     value, error = one.found.causes[0].parameters["sigma_0_N_per_m"]

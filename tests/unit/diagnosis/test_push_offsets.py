@@ -11,6 +11,7 @@ import difffric as df
 from difffric.diagnosis.inferred.push_offsets import (
     PushOffsets,
     _is_real,
+    compare_zeros,
     describe_offsets,
     find_push_offsets,
 )
@@ -24,6 +25,9 @@ from tests.unit.diagnosis.analysis import Analysis
 
 CLEAN = replace(random_case(7_711_000), jitter=5e-6)
 SPEEDS = np.geomspace(0.008, 0.08, 14)
+PHI = CLEAN.noise.force_phi
+ZERO = CLEAN.noise.force * np.sqrt((1 + PHI) / (1 - PHI) / (CLEAN.before * CLEAN.rate))
+"""Standard error [N] of a zero by the time before the push."""
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +46,13 @@ def begin(tmp_path_factory):
 
 @pytest.mark.parametrize(
     "jitter, zeros, speeds",
-    [(5e-6, 0, 0), (20e-6, 0, 0), (0, 1, 0), (0, 0, 2e-4), (5e-6, 0.2, 2e-4)],
+    [
+        pytest.param(5e-6, 0, 0, marks=pytest.mark.slow),
+        pytest.param(20e-6, 0, 0, marks=pytest.mark.slow),
+        pytest.param(0, 1, 0, marks=pytest.mark.slow),
+        pytest.param(0, 0, 2e-4, marks=pytest.mark.slow),
+        (5e-6, 0.2, 2e-4),
+    ],
 )
 def test_offsets_are_those_of_the_pushes_and_no_more_are_left(
     jitter, zeros, speeds, begin, monkeypatch
@@ -50,20 +60,38 @@ def test_offsets_are_those_of_the_pushes_and_no_more_are_left(
     case = replace(CLEAN, jitter=jitter)
     zero, faster = disturb(monkeypatch, zeros, speeds)
     setup, start, plain = begin(case)
-    offsets = find_push_offsets(start.data.task, plain)
-    assert offsets is not None
+    while (anew := shift_by_offsets(setup, start, plain, silent)) is not None:
+        start = anew
+        plain = fit_plain_model(start.data.task, start.at, start.guess)
+    assert 0 < len(start.offsets) < 3 and find_push_offsets(start.data.task, plain) is None
+    found = {
+        name: np.sum([getattr(one, name) for one in start.offsets], axis=0)
+        for name in ("late", "zero", "faster")
+    }
     fast = np.array([push.velocity for push in case.pushes]) > 0.02
-    np.testing.assert_allclose(offsets.late[fast], lateness(case)[fast], atol=1e-6)
-    np.testing.assert_allclose(offsets.late, lateness(case), atol=5e-6)
-    np.testing.assert_allclose(offsets.zero, zero, atol=5 * case.noise.force / 10)
-    np.testing.assert_allclose(offsets.faster, faster, atol=5e-5)
-    anew = shift_by_offsets(setup, start, plain, silent)
-    assert anew is not None and len(anew.offsets) == 1
-    again = fit_plain_model(anew.data.task, anew.at, anew.guess)
-    assert find_push_offsets(anew.data.task, again) is None
-    said = " ".join(describe_offsets(anew.offsets))
+    np.testing.assert_allclose(found["late"][fast], lateness(case)[fast], atol=1e-6)
+    slowest = 1e-5  # where force and position hardly change in time
+    np.testing.assert_allclose(found["late"], lateness(case), atol=slowest)
+    np.testing.assert_allclose(found["faster"], faster, atol=5e-5)
+    # What all zeros are off by is the sensor's, and an effect of the catalogue.
+    apart = found["zero"] - found["zero"].mean()
+    np.testing.assert_allclose(apart, zero - zero.mean(), atol=5 * ZERO)
+    said = " ".join(describe_offsets(start.offsets))
     for word, size in (("triggers", jitter), ("zero", zeros), ("speeds", speeds)):
         assert (word in said) == (size > 0)
+
+
+def test_zeros_are_compared_without_any_model(begin, monkeypatch):
+    case = replace(CLEAN, jitter=0.0)
+    assert compare_zeros(begin(case)[1].data.reduction) is None
+    assert (
+        compare_zeros(begin(case.with_effect("force_offset", {"offset_N": 3.0}))[1].data.reduction)
+        is None
+    )
+    zero, _ = disturb(monkeypatch, 1.0, 0.0)
+    found = compare_zeros(begin(case)[1].data.reduction)
+    assert found is not None and not found.late.any() and not found.faster.any()
+    np.testing.assert_allclose(found.zero, zero - zero.mean(), atol=5 * ZERO)
 
 
 def disturb(monkeypatch, zeros, speeds):
@@ -85,7 +113,9 @@ def disturb(monkeypatch, zeros, speeds):
     return zero, faster
 
 
-@pytest.mark.parametrize("hidden", [None, "soft_layer", "force_offset"])
+@pytest.mark.parametrize(
+    "hidden", [None, "soft_layer", pytest.param("force_offset", marks=pytest.mark.slow)]
+)
 def test_no_offsets_where_pushes_are_not_off_at_random(hidden, begin):
     case = replace(CLEAN, jitter=0.0)
     case = case if hidden is None else random_case(1_000_001, hidden, 40.0)

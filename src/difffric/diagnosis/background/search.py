@@ -92,6 +92,13 @@ def search_background(
     """Search for causes among the `effects`, on top of the plain fit `plain`; `guess` is the set-up
     as it was given (both ensembles of one). Without a `background` every effect but the causes is
     exactly at its null."""
+    return search_from(begin_search(data, plain, guess, effects, background))
+
+
+def begin_search(
+    data: DiagnosisData, plain: Fits, guess: Fits, effects: Sequence[str], background: bool
+) -> JointSearch:
+    """Begin what `search_background` does: fit all small effects, but for those with a shape."""
     small = choose_small_effects(data.task, plain, effects)
     small = replace(small, reach=limit_waves(data.task, data.scales))
     joint = fit_jointly(data, small, plain)
@@ -99,7 +106,7 @@ def search_background(
     if data.reduction is not None and not leaves_noise(data.task, joint):
         grown = _search_with_growing_horizon(search, replace(guess, extra=plain.extra))
         search = min(search, grown, key=_rate_joint)
-    return search_from(search)
+    return search
 
 
 def begins_at_edge(found: BackgroundSearch) -> bool:

@@ -20,12 +20,16 @@ from numpy.typing import NDArray
 from difffric.diagnosis.lack_of_fit import measure_lack_of_fit
 from difffric.estimation.ensembles import ensemble
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
+from difffric.measurements.noise import read_quiet
 from difffric.measurements.recordings import Channel, Recording, Recordings
+from difffric.measurements.reduction.reduce import Reduction
 
 _FEWEST = 6
 """Pushes that can show whether offsets are random at least."""
 _TURNS = 4
-"""Steps of Gauss and Newton to the offsets."""
+"""Steps of Gauss and Newton to the offsets at most."""
+_ARRIVED = 0.03
+"""Standard errors by which the last step moves no offset."""
 _STEPS = (1e-7, 1e-3, 1e-5)
 """Half of the differences over which residuals are differenced: in time [s], in force [N] and in
 speed, as a share."""
@@ -94,6 +98,29 @@ _SAID = (
 """What is said of each kind of offset, in which unit."""
 
 
+def compare_zeros(reduction: Reduction) -> PushOffsets | None:
+    """Return by how much the zeros of the force that n pushes had before they began differ from
+    their mean; None: by no more than noise.
+
+    No model has to be known for that. What all zeros are off by is an effect of the catalogue.
+    """
+    if len(reduction.details) < _FEWEST:
+        return None
+    found = []
+    for push, one in zip(reduction.recordings, reduction.details, strict=True):
+        samples = 0 if push.force is None else len(read_quiet(push.force))
+        if not samples or one.noise_force is None:
+            return None
+        error = one.noise_force.level / np.sqrt(one.noise_force.effective(samples))
+        found.append((one.force_level, error))
+    levels, errors = np.array(found).T
+    weights = errors**-2.0
+    zero = levels - float(np.average(levels, weights=weights))
+    if not zero**2 @ weights > _compute_least(len(zero)):
+        return None
+    return PushOffsets(np.zeros(len(zero)), zero, np.zeros(len(zero)))
+
+
 def find_push_offsets(task: EnsembleTask, fits: Fits) -> PushOffsets | None:
     """Return the offsets of n pushes; None: the fit (an ensemble of one, to recordings) leaves
     nothing that random ones explain.
@@ -101,7 +128,8 @@ def find_push_offsets(task: EnsembleTask, fits: Fits) -> PushOffsets | None:
     The plain parameters and each push's own mu_s move with them, effects stand still: what comes
     late by one of them is not to be taken for a trigger.
     """
-    if task.n < _FEWEST:
+    excess = measure_lack_of_fit(task, fits).excess
+    if task.n < _FEWEST or excess < _compute_least(task.n):
         return None
     at = replace(fits, extra=((),), gram=None, residual=None, damping=None)
     speeds = np.asarray(task.model.pushes.velocity)
@@ -116,8 +144,7 @@ def find_push_offsets(task: EnsembleTask, fits: Fits) -> PushOffsets | None:
         if all(real):
             drop = before - found.squares
             share = _MUCH if found.squares < _LEFT * task.counts.sum() else _MOST
-            enough = drop > share * max(measure_lack_of_fit(task, fits).excess, 0.0)
-            return PushOffsets(*found.offsets.T) if enough else None
+            return PushOffsets(*found.offsets.T) if drop > share * excess else None
         kinds = tuple(kind for kind, there in zip(kinds, real, strict=True) if there)
     return None
 
@@ -141,6 +168,8 @@ def _fit_offsets(task: EnsembleTask, at: Fits, kinds: tuple[int, ...]) -> _Fitte
         if not np.isfinite(step).all():
             return None
         offsets[:, kinds] += step
+        if (np.abs(step) < _ARRIVED * errors).all():
+            break
     return _Fitted(offsets, errors, _measure_squares(_ask(task, at, offsets)))
 
 
@@ -206,10 +235,15 @@ def _differentiate(task: EnsembleTask, at: Fits, offsets: NDArray, kind: int) ->
 def _is_real(offsets: NDArray, errors: NDArray, speeds: NDArray) -> bool:
     """Whether offsets (n,), known to within `errors`, are no noise, and vary by more than goes with
     the `speeds`."""
-    if ((offsets / errors) ** 2).sum() < scipy.stats.chi2.isf(_BY_CHANCE, len(offsets)):
+    if ((offsets / errors) ** 2).sum() < _compute_least(len(offsets)):
         return False
     powers = np.log(speeds / speeds.mean())[:, None] ** np.arange(_POWERS)
     fitted, _, rank, _ = np.linalg.lstsq(powers, offsets, rcond=None)
     rest = offsets - powers @ fitted
     random = float((rest**2).sum() / (len(offsets) - rank) - (errors**2).mean())
     return random > _RANDOM * float(np.var(offsets, ddof=1))
+
+
+def _compute_least(n: int) -> float:
+    """Return the sum of n squares, in units of their variance, that is no noise."""
+    return float(scipy.stats.chi2.isf(_BY_CHANCE, n))
