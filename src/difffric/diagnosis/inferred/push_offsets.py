@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from difffric.diagnosis.lack_of_fit import measure_lack_of_fit
+from difffric.diagnosis.lack_of_fit import LackOfFit, measure_lack_of_fit
 from difffric.estimation.ensembles import ensemble
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.measurements.noise import read_quiet
@@ -33,13 +33,11 @@ _ARRIVED = 0.03
 _STEPS = (1e-7, 1e-3, 1e-5)
 """Half of the differences over which residuals are differenced: in time [s], in force [N] and in
 speed, as a share."""
-_MUCH = 0.4
-"""Share of what a fit leaves beyond the noise that offsets have to explain. Of 30 fits to data
-without any, to causes outside the catalogue, triggers explained half at most where they varied with
-the speed, and a third at most where they did not."""
-_MOST, _LEFT = 0.8, 2.0
-"""The same where more than so many times the noise's squares are left: such a fit may be elsewhere,
-and the push's time makes up for anything."""
+_MUCH = 0.8
+"""Share of what a fit leaves beyond the noise that offsets have to explain. To causes outside the
+catalogue they explained 0.61 at most, where random."""
+_NOTHING_LEFT = 1e-3
+"""Probability above which what is left is noise: offsets that explain all the rest need no more."""
 _RANDOM = 0.25
 """Share of the offsets' variance that their speed must not explain."""
 _BY_CHANCE = 1e-9
@@ -132,9 +130,7 @@ def find_push_offsets(task: EnsembleTask, fits: Fits) -> PushOffsets | None:
     if task.n < _FEWEST or excess < _compute_least(task.n):
         return None
     at = replace(fits, extra=((),), gram=None, residual=None, damping=None)
-    speeds = np.asarray(task.model.pushes.velocity)
-    before = _measure_squares(_ask(task, at, np.zeros((task.n, len(_STEPS)))))
-    kinds = tuple(range(len(_STEPS)))
+    speeds, kinds = np.asarray(task.model.pushes.velocity), tuple(range(len(_STEPS)))
     while kinds:
         found = _fit_offsets(task, at, kinds)
         if found is None:
@@ -142,9 +138,9 @@ def find_push_offsets(task: EnsembleTask, fits: Fits) -> PushOffsets | None:
         sizes = found.offsets[:, kinds].T, found.errors.T
         real = [_is_real(*one, speeds) for one in zip(*sizes, strict=True)]
         if all(real):
-            drop = before - found.squares
-            share = _MUCH if found.squares < _LEFT * task.counts.sum() else _MOST
-            return PushOffsets(*found.offsets.T) if drop > share * excess else None
+            left = found.left
+            enough = left.excess < (1 - _MUCH) * excess or (left.p_value or 0.0) > _NOTHING_LEFT
+            return PushOffsets(*found.offsets.T) if enough else None
         kinds = tuple(kind for kind, there in zip(kinds, real, strict=True) if there)
     return None
 
@@ -156,8 +152,8 @@ class _Fitted(NamedTuple):
     """(n, 3) in time [s], force [N] and speed; zero: of a kind that was not asked for"""
     errors: NDArray
     """(n, kinds) standard errors, all else known"""
-    squares: float
-    """the sum of squares that is left"""
+    left: LackOfFit
+    """what the fit leaves with them"""
 
 
 def _fit_offsets(task: EnsembleTask, at: Fits, kinds: tuple[int, ...]) -> _Fitted | None:
@@ -170,7 +166,9 @@ def _fit_offsets(task: EnsembleTask, at: Fits, kinds: tuple[int, ...]) -> _Fitte
         offsets[:, kinds] += step
         if (np.abs(step) < _ARRIVED * errors).all():
             break
-    return _Fitted(offsets, errors, _measure_squares(_ask(task, at, offsets)))
+    r = _ask(task, at, offsets)[..., -1].reshape(task.n, len(at.spread[0]), -1)
+    left = measure_lack_of_fit(task, replace(at, residual=at.spread[:, None, :, None] * r))
+    return _Fitted(offsets, errors, left)
 
 
 def _ask(task: EnsembleTask, fits: Fits, offsets: NDArray, derivatives: bool = True) -> NDArray:
@@ -186,11 +184,6 @@ def _ask(task: EnsembleTask, fits: Fits, offsets: NDArray, derivatives: bool = T
     along = ensemble.directions(task, fits)[0, : None if derivatives else 0]
     rows = moved.answers(np.arange(task.n), c, along, keep_rows=True).rows
     return (rows / fits.spread[0][:, None, None]).reshape(task.n, -1, rows.shape[-1])
-
-
-def _measure_squares(rows: NDArray) -> float:
-    """Return the sum of squares of residuals."""
-    return float((rows[..., -1] ** 2).sum())
 
 
 def _step(
