@@ -114,11 +114,12 @@ def disturb(monkeypatch, zeros, speeds):
 
 
 @pytest.mark.parametrize(
-    "hidden", [None, "soft_layer", pytest.param("force_offset", marks=pytest.mark.slow)]
+    "hidden",
+    [None, "soft_layer", "speed_sag", pytest.param("force_offset", marks=pytest.mark.slow)],
 )
 def test_no_offsets_where_pushes_are_not_off_at_random(hidden, begin):
     case = replace(CLEAN, jitter=0.0)
-    case = case if hidden is None else random_case(1_000_001, hidden, 40.0)
+    case = case if hidden is None else random_case(1_000_007, hidden, 40.0)
     _, start, plain = begin(case)
     assert find_push_offsets(start.data.task, plain) is None
     assert describe_offsets(()) == ()
@@ -163,6 +164,7 @@ def test_what_goes_with_the_speed_is_no_offset(seed, powers):
     assert not _is_real(smooth, errors, SPEEDS)
     assert not _is_real(1e-7 * noise, errors, SPEEDS)  # nothing but its error
     assert not _is_real(smooth + 1e-7 * noise, 2 * errors, SPEEDS)
+    assert not _is_real(5e-6 + 1e-6 * noise, errors, SPEEDS)  # most of it is the same in all
     assert _is_real(5 * np.ptp(smooth) * noise + 1e-5 * noise, errors, SPEEDS)
 
 

@@ -39,7 +39,8 @@ catalogue they explained 0.61 at most, where random."""
 _NOTHING_LEFT = 1e-3
 """Probability above which what is left is noise: offsets that explain all the rest need no more."""
 _RANDOM = 0.25
-"""Share of the offsets' variance that their speed must not explain."""
+"""Share of the offsets' squares that neither their mean nor their speed may explain: a tip that
+slows makes all pushes seem slower."""
 _BY_CHANCE = 1e-9
 """How probable it may be at most that noise alone lets offsets explain as much."""
 _POWERS = 3
@@ -226,15 +227,15 @@ def _differentiate(task: EnsembleTask, at: Fits, offsets: NDArray, kind: int) ->
 
 
 def _is_real(offsets: NDArray, errors: NDArray, speeds: NDArray) -> bool:
-    """Whether offsets (n,), known to within `errors`, are no noise, and vary by more than goes with
-    the `speeds`."""
+    """Whether offsets (n,), known to within `errors`, are no noise, and neither all alike nor what
+    goes with the `speeds`."""
     if ((offsets / errors) ** 2).sum() < _compute_least(len(offsets)):
         return False
     powers = np.log(speeds / speeds.mean())[:, None] ** np.arange(_POWERS)
     fitted, _, rank, _ = np.linalg.lstsq(powers, offsets, rcond=None)
     rest = offsets - powers @ fitted
     random = float((rest**2).sum() / (len(offsets) - rank) - (errors**2).mean())
-    return random > _RANDOM * float(np.var(offsets, ddof=1))
+    return random > _RANDOM * float((offsets**2).mean())
 
 
 def _compute_least(n: int) -> float:
