@@ -14,6 +14,7 @@ import pytest
 import difffric as df
 from difffric.diagnosis import location, procedure
 from difffric.diagnosis.alternatives import find_alternatives
+from difffric.diagnosis.combinations import cause_rounds
 from difffric.diagnosis.exploration import CandidateCause
 from difffric.diagnosis.inferred import changes
 from difffric.diagnosis.inferred.changes import Changes, ReadingChanges
@@ -111,7 +112,7 @@ def test_strong_bristles_are_told_without_a_search_for_other_causes(tmp_path, mo
 
 def test_beside_a_background_what_is_read_says_whether_a_cause_matters(monkeypatch):
     moved = Changes(0.05, peak_force=0.001, sliding_distance=0.002, as_mu_s=0.05, of_most=0.002)
-    monkeypatch.setattr(procedure, "measure_changes", lambda *_: moved)
+    monkeypatch.setattr(cause_rounds, "measure_changes", lambda *_: moved)
     search = object.__new__(procedure._CauseSearch)
     search.start, search.matters = SimpleNamespace(data=SimpleNamespace(task=None)), 0.005  # type: ignore
     search.usual, search.share = frozenset(), 0.0
