@@ -72,7 +72,7 @@ _BETTER = 1.0
 _SHARE = 0.01
 """The same as a share of what the effect explains; the larger of the two counts."""
 _MOST_SHIFTS = 3
-"""How often samples are moved in time at most, each time where the next fit asks for it."""
+"""How often pushes are corrected at most, each time where the next fit asks for it."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class SearchStart:
     guess: Fits
     """the set-up as it was given"""
     offsets: tuple[PushOffsets, ...] = ()
-    """by how much the samples of the pushes were moved back, each time"""
+    """what the pushes were corrected by, each time"""
 
 
 def prepare_start(

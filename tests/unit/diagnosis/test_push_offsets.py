@@ -83,11 +83,8 @@ def test_offsets_are_those_of_the_pushes_and_no_more_are_left(
 
 def test_zeros_are_compared_without_any_model(begin, monkeypatch):
     case = replace(CLEAN, jitter=0.0)
-    assert compare_zeros(begin(case)[1].data.reduction) is None
-    assert (
-        compare_zeros(begin(case.with_effect("force_offset", {"offset_N": 3.0}))[1].data.reduction)
-        is None
-    )
+    for same in (case, case.with_effect("force_offset", {"offset_N": 3.0})):
+        assert compare_zeros(begin(same)[1].data.reduction) is None
     zero, _ = disturb(monkeypatch, 1.0, 0.0)
     found = compare_zeros(begin(case)[1].data.reduction)
     assert found is not None and not found.late.any() and not found.faster.any()

@@ -4,7 +4,7 @@ A trigger that is off by microseconds moves all samples of a push in time, of ea
 amount; a force sensor's zero wanders between pushes; no drive goes at the very speed that was asked
 for. Good sensors see all three, and no effect explains them: they are as random as friction is from
 push to push. So they are estimated beside each push's own mu_s, and its record is corrected, as
-soon as that explains much of what a fit leaves.
+soon as that explains nearly all that a fit leaves.
 """
 
 from __future__ import annotations
