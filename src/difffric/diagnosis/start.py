@@ -40,6 +40,7 @@ from difffric.diagnosis.inferred.push_offsets import (
     find_push_offsets,
 )
 from difffric.diagnosis.lack_of_fit import is_misfit_large, measure_lack_of_fit
+from difffric.errors import InputError
 from difffric.estimation.ensembles import ensemble, ensemble_refits, friction_scan
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.estimation.stacked_data import TABLE
@@ -172,7 +173,10 @@ def shift_by_offsets(setup: Setup, start: SearchStart, at: Fits, tell: Tell) -> 
     if offsets is None:
         return None
     shifted = offsets.take_from(data.reduction.recordings)
-    anew = prepare_start(setup, shifted, tell, use_data_mass=True)
+    try:
+        anew = prepare_start(setup, shifted, tell, use_data_mass=True)
+    except InputError:  # a record that cannot be reduced any more was not off by that
+        return None
     return replace(anew, offsets=(*start.offsets, offsets))
 
 

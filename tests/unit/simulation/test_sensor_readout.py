@@ -8,8 +8,9 @@ from scipy.integrate import solve_ivp
 
 from difffric.rig.catalogue import extended
 from difffric.rig.rig import spring_damper_rig
-from difffric.simulation.observables import observe
+from difffric.simulation.observables import observe, observe_steps
 from difffric.simulation.stepping.integrator import RungeKutta
+from difffric.simulation.stepping.path import follow
 from difffric.simulation.stepping.sensor_readout import Filters, filter_strides
 
 
@@ -54,3 +55,20 @@ def test_a_sensor_without_its_effect_reads_the_plain_peak(effect):
     seen = observe(extended(rig, {effect: {}}), 0.5 / 60, integrator)
     assert float(seen.peak_force) == pytest.approx(float(plain.peak_force), rel=1e-9)
     assert float(seen.sliding_distance) == pytest.approx(float(plain.sliding_distance), rel=1e-6)
+
+
+@pytest.mark.parametrize("delay", [0.0, 3e-4])
+def test_a_late_position_lengthens_d_by_as_much_whether_or_not_it_is_sensed(delay):
+    """Followed by what the part does, as recordings are, and read late afterwards, the distance is
+    that of a push whose sensors are followed with it."""
+    rig = spring_damper_rig(mu_s=0.15, k_v=5.0, mass=18.9, k=8e5, b=1500.0, stroke=1e-3)
+    rig = extended(rig, {"channel_skew": {"delay_s": delay}})
+    v = jnp.asarray(0.05)
+    loop = RungeKutta(1e-9).build_loop(rig, v, blind=True)
+    end, path = follow(loop, 256)
+    late = float(path.measure_late_distance())
+    slid = float(observe_steps(loop, end).sliding_distance)
+    seen = observe(rig, v, RungeKutta(1e-9))
+    speed = float(path.evaluate(end.t_lost - delay / 2)[2])
+    assert late == pytest.approx(speed * delay, rel=1e-3, abs=1e-12)
+    assert slid + late == pytest.approx(float(seen.sliding_distance), rel=1e-9)

@@ -96,7 +96,10 @@ def _answer_recordings(
         f, x = known * f, known * x
         seen = jax.vmap(lambda *at, m: observe_steps(build(*at), m))(rigs, v, m=paths.end)
         peak = jax.vmap(PushPath.find_read_peak)(paths, force.t, f, seen.peak_force)
-        model = jnp.stack([peak, seen.sliding_distance], axis=1)
+        slid = seen.sliding_distance
+        if rigs.probe.looked_up:
+            slid = slid + jax.vmap(PushPath.measure_late_distance)(paths)
+        model = jnp.stack([peak, slid], axis=1)
         means = jax.vmap(_average)
         return (means(force, f), means(position, x)), model
 

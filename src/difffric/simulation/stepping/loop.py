@@ -170,6 +170,7 @@ class StepLoop(NamedTuple):
             sticks=(~at_once).astype(int),
             lost=no,
             lost_moving=no,
+            t_lost=zero,
             x_lost=zero,
             peak=zero,
             peak_contact=jnp.asarray(1),

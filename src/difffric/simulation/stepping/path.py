@@ -65,6 +65,13 @@ class PushPath(NamedTuple):
         at = jnp.vectorize(lambda time: self.evaluate(time)[1])
         return sensor.read(force), probe.read(at(t_position - probe.delay))
 
+    def measure_late_distance(self) -> Float[Array, ""]:
+        """How much longer than it is d is read [m], as the position that is read at the loss of
+        contact is that of a `probe.delay` before."""
+        probe = self.motion.rig.probe
+        before = self.evaluate(self.end.t_lost - probe.delay)[1]
+        return probe.read(self.end.x_lost) - probe.read(before)
+
     def find_read_peak(
         self, t: Float[Array, " e"], f: Float[Array, " e"], peak: Float[Array, ""]
     ) -> Float[Array, ""]:

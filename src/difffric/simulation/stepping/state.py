@@ -28,6 +28,8 @@ class LoopState(NamedTuple):
     """whether contact has ever been lost"""
     lost_moving: Bool[Array, ""]
     """whether it was lost while the pusher moved, the last time"""
+    t_lost: Float[Array, ""]
+    """when contact was lost [s], the last time"""
     x_lost: Float[Array, ""]
     """the part's position where it was lost [m], the last time"""
     peak: Float[Array, ""]

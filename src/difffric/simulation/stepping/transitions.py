@@ -254,6 +254,7 @@ class Rules(NamedTuple):
             halts=m.halts + halts,
             lost=m.lost | lost,
             lost_moving=jnp.where(gone, ~c.stopped, lost_moving),
+            t_lost=jnp.where(lost, m.s.t, m.t_lost),
             x_lost=jnp.where(lost, self.motion.position(m.s), m.x_lost),
             summited=(m.summited & ~changed) | at.is_of(Event.FORCE_PEAK),
             slowed=(m.slowed & ~changed) | at.is_of(Event.SLOWEST),
