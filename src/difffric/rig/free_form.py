@@ -106,6 +106,27 @@ class FreeSpring(AbstractContactEffect):
         return self.law.rebound(z * (1 + self.g(z)), w)
 
 
+class FreeLoss(AbstractContactEffect):
+    """A loss of the spring's own, as in a contact that lags: `k z (1 + g(z) w / w_r)`, at approach
+    and on rebound; a constant g is the loss of Hunt and Crossley (J. Appl. Mech. 42 (1975) 440).
+
+    w_r = 0.1 m/s: there the spring's force is another by the share g.
+    """
+
+    law: AbstractContact
+    g: Any = None
+    w_r: ClassVar[float] = 0.1
+
+    def _press(self, z: Number, w: Number) -> Number:
+        return z * (1 + self.g(z) * w / self.w_r)
+
+    def approach(self, z: Number, w: Number) -> Number:
+        return self.law.approach(self._press(z, w), w)
+
+    def rebound(self, z: Number, w: Number) -> Number:
+        return self.law.rebound(self._press(z, w), w)
+
+
 class FreeTravel(AbstractPusherEffect):
     """The tip's speed corrected over its travel: `v (1 + g(y))`."""
 
@@ -163,6 +184,10 @@ FORMS = {
     "spring": Form(
         CONTACT, FreeSpring, "compression", "m", lambda s: (s.compression, 10 * s.compression),
         ("rebound_damping.b_N_s_per_m",),
+    ),
+    "loss": Form(
+        CONTACT, FreeLoss, "compression, at 0.1 m/s", "m",
+        lambda s: (s.compression, 10 * s.compression), ("rebound_damping.b_N_s_per_m",),
     ),
     "travel": Form(
         PUSHER, FreeTravel, "travel of the tip", "m", lambda s: (s.travel, 0.3 * s.travel),

@@ -49,6 +49,9 @@ _COMPARISONS = 3
 _MOST_AT_A_HORIZON, _HARDLY_LESS = 6, 0.97
 """How often shapes are placed at a horizon at most, and the share of squares down to which that is
 hardly any use."""
+_OUT_OF_REACH = 5.0
+"""Times the noise that shapes leave at a horizon from which on none are placed at later ones: what
+is there has none of the shapes that are known, which left 1.1 at most."""
 _PLACE = f"{PATCH}.start_m"
 """Where a patch begins."""
 _MOVED = 0.3
@@ -157,14 +160,14 @@ def _search_with_growing_horizon(search: JointSearch, guess: Fits) -> JointSearc
     data, small = search.data, search.small
     first, *later = list_joint_horizons(data)
     at, large = fit_first_contact(data, small, guess, first, WIDE)
-    grown = replace(search, joint=at, large=large)
+    grown, left = replace(search, joint=at, large=large), 0.0
     for k, horizon in enumerate(later, 1):
         grown = replace(grown, data=replace(data, task=cut_at(data.task, horizon)))
         if k == len(later):
             grown.joint = restore_scatter(data.task, grown.joint, guess)
         _follow_horizon(grown)
-        if k < len(later):
-            _arrive_roughly(grown)
+        if k < len(later) and left < _OUT_OF_REACH:
+            left = _arrive_roughly(grown)
     return replace(grown, data=data)
 
 
@@ -185,8 +188,9 @@ def _follow_horizon(search: JointSearch) -> None:
     search.joint = at
 
 
-def _arrive_roughly(search: JointSearch) -> None:
-    """Place shapes until hardly more than noise is left, or none helps much."""
+def _arrive_roughly(search: JointSearch) -> float:
+    """Place shapes until hardly more than noise is left, or none helps much; how many times as
+    much as noise that leaves."""
     c = search.plain.c.copy()
     known = list(search.data.task.shared)
     c[0, known] = search.joint.c[0, known]
@@ -206,6 +210,7 @@ def _arrive_roughly(search: JointSearch) -> None:
         if left > _HARDLY_LESS * before:
             break
     search.joint, search.shaped = there.joint, there.shaped
+    return left
 
 
 def search_from(search: JointSearch) -> BackgroundSearch:

@@ -20,6 +20,8 @@ from difffric.rig.catalogue import numbers_of
 _JUMP, _WRONG = 10.0, 0.25
 """Chi-square of a push from which on so small a step counts, and the share of it that is not
 foretold from which on it is a jump."""
+_NO_FRICTION = 1e-100
+"""Share of its mu_s that a push without any friction still has, so that it can be divided by."""
 
 
 def list_known(
@@ -96,7 +98,9 @@ def collect_rows(
     # What adds a force changes all mu_s by the same amount, not by the same factor: so does the
     # scatter that is compared here, or a linear prediction would take one for the other.
     level = np.exp(at.own[0])[:, None]
-    own, plain = rows[..., 0] / level, rows[..., 1 : -1 - len(small.index)]
+    plain = rows[..., 1 : -1 - len(small.index)]
+    # Nor does one whose friction a fit has led to nothing.
+    own = np.where(level > 0, rows[..., 0] / np.maximum(level, _NO_FRICTION), 0.0)
     columns = rows[..., -1 - len(small.index) : -1]
     away = (beside[0] - small.null)[list(small.index)]
     there = _move_to_null(task, at, small, c, rows[..., -1], columns, away)
