@@ -4,13 +4,17 @@ contact, as long as all pushes have the same mu_s."""
 from __future__ import annotations
 
 from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import difffric as df
+from difffric.diagnosis.background import search as searching
 from difffric.diagnosis.background.growing_horizon import fit_first_contact, list_joint_horizons
 from difffric.diagnosis.background.joint_fit import WIDE
+from difffric.diagnosis.background.joint_search import JointSearch
 from difffric.diagnosis.background.small_effects import choose_small_effects
 from difffric.diagnosis.start import prepare_start
 from difffric.rig.setup_toml import read_setup
@@ -66,3 +70,25 @@ def test_a_large_cause_is_named_among_small_effects(effect, seed, change, tmp_pa
     assert one.found.gain.after < 0.02 * one.found.gain.before
     had = np.array([push.mu_s for push in sorted(one.case.pushes, key=lambda push: push.order)])
     assert np.sqrt(np.mean((np.array(one.found.mu_s) / had - 1) ** 2)) < 0.01
+
+
+@pytest.mark.parametrize(("left", "placed"), [(1.05, 3), (20.0, 1)])
+def test_shapes_that_explain_nothing_at_a_horizon_are_not_placed_at_later_ones(
+    monkeypatch, left, placed
+):
+    """What is there has none of the shapes that are known, or the first samples would show it; what
+    leaves but noise there may need a shape later."""
+    data: Any = SimpleNamespace(task=None, scales=None, reduction=None)
+    search, followed, arrived = JointSearch(data, (), True, *[None] * 3), [], []  # pyright: ignore
+    for name, answer in {
+        "list_joint_horizons": lambda data: [1e-3, 2e-3, 4e-3, 8e-3, np.inf],
+        "fit_first_contact": lambda *given: (None, frozenset()),
+        "cut_at": lambda task, horizon: task,
+        "restore_scatter": lambda task, joint, guess: joint,
+        "replace": lambda one, **new: one,
+        "_follow_horizon": followed.append,
+        "_arrive_roughly": lambda one: arrived.append(one) or left,
+    }.items():
+        monkeypatch.setattr(searching, name, answer)
+    searching._search_with_growing_horizon(search, Any)
+    assert len(followed) == 4 and len(arrived) == placed

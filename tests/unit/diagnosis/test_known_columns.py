@@ -57,3 +57,12 @@ def test_what_is_left_without_an_effect_is_what_its_null_leaves(seed, steep):
     rows, _ = collect_rows(task, at, small, None)
     exact, _ = collect_rows(smooth, at, small, None)
     np.testing.assert_allclose(rows, exact, rtol=1e-6, atol=1e-6 * np.abs(exact).max())
+
+
+def test_a_push_that_a_fit_leaves_without_friction_has_no_friction_to_change():
+    """exp(own) underflows to nothing there: its column was 0 / 0, and ended the comparison."""
+    task, _, at, small = make_rig(0, 0.0)
+    own = at.own.copy()
+    own[0, 3] = -1e4
+    rows, friction = collect_rows(task, ensemble_refits.replace(at, own=own), small, None)
+    assert np.isfinite(rows).all() and not friction[3].any() and friction[2].any()
