@@ -104,7 +104,7 @@ def locate(
 
     The forms `among` which it is looked for are fitted to some of the pushes, and those that lead
     to all. `excess` is the chi-square of the plain fit beyond the noise's, of which each form
-    explains a share.
+    explains a share; one that explains less than its `least` is not told where another leads too.
     """
     wide = add_free_forms(task, scales)
     at = place_forms(wide, plain, among)
@@ -121,10 +121,12 @@ def locate(
     at = ensemble_refits.refit(wide, at, _ROUNDS)
     drop = float(ensemble.criterion(task, plain)[0]) - ensemble.criterion(wide, at)
     explained[leaders] = np.clip(drop / max(excess, 1.0), 0, 1)
-    best = int(np.argmax(drop - price[leaders]))
+    enough = np.array([explained[k] >= FORMS[among[k]].least for k in leaders])
+    worths = np.where(enough | ~enough.any(), drop - price[leaders], -np.inf)
+    best = int(np.argmax(worths))
     name = among[leaders[best]]
     shares = dict(zip(among, explained.tolist(), strict=True))
-    worth = float((drop - price[leaders])[best])
+    worth = float(worths[best])
     return make_location(wide, at.pick([best]), name, scales, shares, worth)
 
 

@@ -318,7 +318,7 @@ class _CauseSearch(CauseRounds):
             compared = compare_with_curves(found.data, found, tuple(p_values), self.plain, base)
             # What a curve changes by less than matters is left, and is told as what is left.
             self.explained = not compared.is_outside or compared.change < self.matters
-            self.curves = (compared.best,)
+            self.curves = compared.leading
             if beside:
                 curve = fit_curve_for_causes(found, p_values, compared, self.lack.excess)
         return found, p_values, base, curve

@@ -171,6 +171,8 @@ class Form:
     """the curve's end and bend"""
     beside: tuple[str, ...] = ()
     """numbers of effects that the component may need with it: what has a memory has no curve"""
+    least: float = 0.0
+    """share of a misfit that the curve has to explain where another one can be told"""
 
 
 FORMS = {
@@ -188,6 +190,7 @@ FORMS = {
     "loss": Form(
         CONTACT, FreeLoss, "compression, at 0.1 m/s", "m",
         lambda s: (s.compression, 10 * s.compression), ("rebound_damping.b_N_s_per_m",),
+        0.6,  # of whatever changes fast it follows a little: 0.37 of a tip that rings
     ),
     "travel": Form(
         PUSHER, FreeTravel, "travel of the tip", "m", lambda s: (s.travel, 0.3 * s.travel),

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from difffric.diagnosis.background.curve_comparison import CurveComparison, limit_curves
+from difffric.rig.free_form import FORMS
 
 
 def compare(causes, alone, both, count=1, share=0.0) -> CurveComparison:
@@ -74,3 +75,11 @@ def test_the_form_that_explains_most_by_itself_or_beside_the_causes_comes_first(
     assert CurveComparison(0.0, alone, {}).rank_forms() == ["travel", "force", "spring"]
     both = {"spring": 9.0, "travel": 3.0, "force": 4.0}
     assert CurveComparison(3.0, alone, both).rank_forms() == ["spring", "force", "travel"]
+
+
+def test_a_form_that_may_imitate_another_is_held_against_the_next():
+    """A loss follows a little of whatever changes fast, and is told where it explains most."""
+    assert FORMS["loss"].least > 0 and not FORMS["travel"].least
+    assert CurveComparison(0.0, {"spring": 1.0, "travel": 3.0}, {}).leading == ("travel",)
+    leading = CurveComparison(0.0, {"spring": 1.0, "loss": 3.0, "travel": 2.0}, {}).leading
+    assert leading == ("loss", "travel")

@@ -79,6 +79,12 @@ class CurveComparison:
         return max(self.curves, key=lambda name: self.curves[name])
 
     @property
+    def leading(self) -> tuple[str, ...]:
+        """The form that explains most by itself, and the next where that may imitate another."""
+        ranked = sorted(self.curves, key=lambda name: -self.curves[name])
+        return tuple(ranked[: 2 if FORMS[ranked[0]].least else 1])
+
+    @property
     def may_be_needed(self) -> bool:
         """Whether a curve, alone or beside the causes, explains more than they do by such odds."""
         most = max((*self.curves.values(), *self.both.values()))
