@@ -51,7 +51,7 @@ _MOST_AT_A_HORIZON, _HARDLY_LESS = 6, 0.97
 hardly any use."""
 _OUT_OF_REACH = 5.0
 """Times the noise that shapes leave at a horizon from which on none are placed at later ones: what
-is there has none of the shapes that are known, which left 1.1 at most."""
+is there has none of the shapes that are known, which left 1.03 at most."""
 _PLACE = f"{PATCH}.start_m"
 """Where a patch begins."""
 _MOVED = 0.3
