@@ -34,11 +34,11 @@ _STEPS = (1e-7, 1e-3, 1e-5)
 """Half of the differences over which residuals are differenced: in time [s], in force [N] and in
 speed, as a share."""
 _MUCH = 0.8
-"""Share of what a fit leaves beyond the noise that offsets have to explain. To causes outside the
-catalogue they explained 0.61 at most, where random."""
+"""Share of what a fit leaves beyond the noise that offsets have to explain where that is more than
+the noise itself: beside them there may be a cause that is not found yet."""
 _NOTHING_LEFT = 0.05
-"""Probability above which what is left is noise: offsets that explain all the rest need no more. At
-0.001 speeds that were off by 0.005 % were told of a probe that is not linear, and left 0.015."""
+"""Probability above which what they leave is noise, which is asked of them where a fit leaves less:
+of friction that varies with the speed in waves they explained 0.93, and left 1e-20."""
 _RANDOM = 0.25
 """Share of the offsets' squares that neither their mean nor their speed may explain: a tip that
 slows makes all pushes seem slower."""
@@ -128,8 +128,8 @@ def find_push_offsets(task: EnsembleTask, fits: Fits) -> PushOffsets | None:
     The plain parameters and each push's own mu_s move with them, effects stand still: what comes
     late by one of them is not to be taken for a trigger.
     """
-    excess = measure_lack_of_fit(task, fits).excess
-    if task.n < _FEWEST or excess < _compute_least(task.n):
+    lack = measure_lack_of_fit(task, fits)
+    if task.n < _FEWEST or lack.excess < _compute_least(task.n):
         return None
     at = replace(fits, extra=((),), gram=None, residual=None, damping=None)
     speeds, kinds = np.asarray(task.model.pushes.velocity), tuple(range(len(_STEPS)))
@@ -140,9 +140,10 @@ def find_push_offsets(task: EnsembleTask, fits: Fits) -> PushOffsets | None:
         sizes = found.offsets[:, kinds].T, found.errors.T
         real = [_is_real(*one, speeds) for one in zip(*sizes, strict=True)]
         if all(real):
-            left = found.left
-            enough = left.excess < (1 - _MUCH) * excess or (left.p_value or 0.0) > _NOTHING_LEFT
-            return PushOffsets(*found.offsets.T) if enough else None
+            much = lack.excess > lack.expected
+            much &= found.left.excess < (1 - _MUCH) * lack.excess
+            nothing = (found.left.p_value or 0.0) > _NOTHING_LEFT
+            return PushOffsets(*found.offsets.T) if much or nothing else None
         kinds = tuple(kind for kind, there in zip(kinds, real, strict=True) if there)
     return None
 
