@@ -33,9 +33,9 @@ _ARRIVED = 0.03
 _STEPS = (1e-7, 1e-3, 1e-5)
 """Half of the differences over which residuals are differenced: in time [s], in force [N] and in
 speed, as a share."""
-_MUCH = 0.8
-"""Share of what a fit leaves beyond the noise that offsets have to explain where that is more than
-the noise itself: beside them there may be a cause that is not found yet."""
+_LARGE, _MUCH = 0.25, 0.8
+"""What a fit leaves beyond the noise, in units of it, from which on offsets need not explain all of
+it but this share: beside them there may be a cause that is not found yet."""
 _NOTHING_LEFT = 0.05
 """Probability above which what they leave is noise, which is asked of them where a fit leaves less:
 of friction that varies with the speed in waves they explained 0.93, and left 1e-20."""
@@ -140,7 +140,7 @@ def find_push_offsets(task: EnsembleTask, fits: Fits) -> PushOffsets | None:
         sizes = found.offsets[:, kinds].T, found.errors.T
         real = [_is_real(*one, speeds) for one in zip(*sizes, strict=True)]
         if all(real):
-            much = lack.excess > lack.expected
+            much = lack.excess > _LARGE * lack.expected
             much &= found.left.excess < (1 - _MUCH) * lack.excess
             nothing = (found.left.p_value or 0.0) > _NOTHING_LEFT
             return PushOffsets(*found.offsets.T) if much or nothing else None
