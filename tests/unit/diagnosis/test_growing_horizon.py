@@ -79,7 +79,9 @@ def test_shapes_that_explain_nothing_at_a_horizon_are_not_placed_at_later_ones(
     """What is there has none of the shapes that are known, or the first samples would show it; what
     leaves but noise there may need a shape later."""
     data: Any = SimpleNamespace(task=None, scales=None, reduction=None)
-    search, followed, arrived = JointSearch(data, (), True, *[None] * 3), [], []  # pyright: ignore
+    nothing: Any = None
+    search = JointSearch(data, (), True, nothing, nothing, nothing)
+    followed, arrived = [], []
     for name, answer in {
         "list_joint_horizons": lambda data: [1e-3, 2e-3, 4e-3, 8e-3, np.inf],
         "fit_first_contact": lambda *given: (None, frozenset()),
@@ -90,5 +92,5 @@ def test_shapes_that_explain_nothing_at_a_horizon_are_not_placed_at_later_ones(
         "_arrive_roughly": lambda one: arrived.append(one) or left,
     }.items():
         monkeypatch.setattr(searching, name, answer)
-    searching._search_with_growing_horizon(search, Any)
+    searching._search_with_growing_horizon(search, nothing)
     assert len(followed) == 4 and len(arrived) == placed

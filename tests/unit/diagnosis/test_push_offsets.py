@@ -1,6 +1,8 @@
 """What is off in each push by another amount is corrected: trigger, zero of the force, speed."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import difffric as df
+from difffric.diagnosis import start as starting
 from difffric.diagnosis.inferred.push_offsets import (
     PushOffsets,
     _is_real,
@@ -16,6 +19,7 @@ from difffric.diagnosis.inferred.push_offsets import (
     find_push_offsets,
 )
 from difffric.diagnosis.start import fit_plain_model, prepare_start, shift_by_offsets
+from difffric.errors import InputError
 from difffric.measurements.recordings import Channel
 from difffric.progress import silent
 from difffric.rig.setup_toml import read_setup
@@ -163,6 +167,22 @@ def test_what_goes_with_the_speed_is_no_offset(seed, powers):
     assert not _is_real(smooth + 1e-7 * noise, 2 * errors, SPEEDS)
     assert not _is_real(5e-6 + 1e-6 * noise, errors, SPEEDS)  # most of it is the same in all
     assert _is_real(5 * np.ptp(smooth) * noise + 1e-5 * noise, errors, SPEEDS)
+
+
+def test_records_that_cannot_be_reduced_once_corrected_are_kept(monkeypatch):
+    nothing: Any = None
+    data = SimpleNamespace(
+        reduction=SimpleNamespace(recordings=None), measured=SimpleNamespace(motion=None)
+    )
+    before: Any = SimpleNamespace(data=data, offsets=())
+    offsets = SimpleNamespace(take_from=lambda recordings: recordings)
+
+    def refuse(*given, **options):
+        raise InputError("no push is left")
+
+    monkeypatch.setattr(starting, "compare_zeros", lambda reduction: offsets)
+    monkeypatch.setattr(starting, "prepare_start", refuse)
+    assert shift_by_offsets(nothing, before, nothing, silent) is None
 
 
 def test_a_rig_with_nothing_but_jitter_is_adequate(tmp_path):
