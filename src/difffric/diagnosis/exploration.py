@@ -280,7 +280,7 @@ def _make_starts(
     if effect in SHAPED:
         return scan_shapes(task, base, effect, scales, some, far)
     coordinates = task.model.coordinates
-    values = list_starting_values(effect, scales)
+    values = list_starting_values(effect, scales, closely=True)
     rows = np.array([coordinates.point(one) for one in values])
     fits = _place_effect(task, base, effect, rows)
     if effect == RATIO:  # what slides stays as it is, and mu_s with what sticks moves

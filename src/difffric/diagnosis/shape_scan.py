@@ -58,33 +58,37 @@ def scan_shapes(
     that would explain most.
 
     `some` numbers the pushes that the scan looks at. Unless the misfit is large (`far`) the rest of
-    the model is where it would be beside the effect, to first order.
+    the model is where it would be beside the effect, to first order; of a table, which is followed
+    in less time, there are starts of both kinds.
     """
     key, phase = SHAPED[effect]
     names = [f"{effect}.amplitude", f"{effect}.{key}"]
     names += [] if phase is None else [f"{effect}.{phase}"]
     index = task.model.coordinates.indices(names)
     if phase is None:
-        drop, starts = _scan_places(task, base, index, scales, some, far)
+        drop, alone, beside = _scan_places(task, base, index, scales, some)
     else:
         way = scales.ways if effect != "pusher_ripple" else np.full(task.n, scales.travel)
-        drop, starts = _scan_waves(task, base, index, way, some, far)
-    return starts.pick(_find_peaks(drop)[:_STARTS])
+        drop, alone, beside = _scan_waves(task, base, index, way, some, far)
+    best = _find_peaks(drop)[:_STARTS]
+    if far and not task.model.recordings:
+        return ensemble.join(alone.pick(best), beside.pick(best))
+    return (alone if far else beside).pick(best)
 
 
 def _scan_places(
-    task: EnsembleTask, base: Fits, index: Sequence[int], scales: Scales, some: NDArray, far: bool
-) -> tuple[NDArray, Fits]:
+    task: EnsembleTask, base: Fits, index: Sequence[int], scales: Scales, some: NDArray
+) -> tuple[NDArray, Fits, Fits]:
     """Score places [m] along the pushes' ways; see `_score_shapes`."""
     low, high = np.min(scales.ways), np.max(scales.ways)
     places = np.linspace(scales.first_place, low, _PLACES)
     places = np.append(places, np.linspace(low, high, _PLACES)[1:-1])
-    return _score_shapes(task, base, index, places, some, far)
+    return _score_shapes(task, base, index, places, some)
 
 
 def _scan_waves(
     task: EnsembleTask, base: Fits, index: Sequence[int], way: NDArray, some: NDArray, far: bool
-) -> tuple[NDArray, Fits]:
+) -> tuple[NDArray, Fits, Fits]:
     """Score wavelengths [m], coarsely and then about the best of these finely; see
     `_score_shapes`."""
     near = some[np.argsort(way[some], kind="stable")]
@@ -94,13 +98,13 @@ def _scan_waves(
     step = 1.0 / (3.0 * short)
     last = min(1.0 / SHORTEST, 0.5 / short + MOST * step)
     turns = np.arange(0.5 / short, last + step, step)  # a metre
-    drop, _ = _score_shapes(task, base, index, 1.0 / turns, near, far)
+    drop = _score_shapes(task, base, index, 1.0 / turns, near)[0]
     fine = 1.0 / (6.0 * long)
     spread = np.arange(-0.5 * step, 0.5 * step + 1e-9, fine)
     # A small wave's peak may lie on the side of another's.
     first = _find_peaks(drop)[:_PEAKS] if far else np.argsort(-drop)[:_BINS]
     between = (turns[first, None] + spread).ravel()
-    return _score_shapes(task, base, index, 1.0 / between[between > 0], some, far)
+    return _score_shapes(task, base, index, 1.0 / between[between > 0], some)
 
 
 def is_within_travel(task: EnsembleTask, c: NDArray, effect: str, scales: Scales) -> bool:
@@ -125,13 +129,12 @@ def _score_shapes(
     index: Sequence[int],
     shapes: NDArray,
     pushes: NDArray,
-    far: bool,
-) -> tuple[NDArray, Fits]:
+) -> tuple[NDArray, Fits, Fits]:
     """Run a score test for each of the shapes (m,), a wavelength or a place [m].
 
     `index` are the coordinates of the amplitude, the shape and, where there is one, the phase.
     Returns the predicted drops of chi-square (m,), and fits with the amplitude and phase at which
-    they are predicted.
+    they are predicted: the rest of the model as it was, and where it would be beside them.
     """
     coordinates, m = task.model.coordinates, len(shapes)
     amplitude, shape = index[:2]
@@ -151,13 +154,12 @@ def _score_shapes(
     size = np.abs(at[:, 0]) if len(index) == 2 else np.hypot(at[:, 0], at[:, 2])
     shrink = np.minimum(1.0, _LARGEST / coordinates.unit[amplitude] / np.maximum(size, 1e-12))
     at[:, moving] *= shrink[:, None]
-    if far:
-        c = c.copy()
-        c[:, index] = at
-        new = replace(fits, c=c, gram=None, residual=None)
-    else:
-        new = ensemble_refits.take_step(task, fits, 0.0)
-    return drop, replace(new, extra=((*base.extra[0], *index),) * m, residual=None)
+    beside = ensemble_refits.take_step(task, fits, 0.0)
+    c = c.copy()
+    c[:, index] = at
+    alone = replace(fits, c=c, gram=None)
+    extra = ((*base.extra[0], *index),) * m
+    return drop, *(replace(one, extra=extra, residual=None) for one in (alone, beside))
 
 
 def _predict_step(task: EnsembleTask, fits: Fits, free: int) -> tuple[NDArray, NDArray]:

@@ -24,18 +24,25 @@ SMOOTH_AT_NULL = {
 """Effects whose first derivative at the null is there: they have a score test, and a search may
 start from the null too."""
 
+_EDGED = {"pusher_duration", "release_latch"}
+"""Effects whose size each push crosses at an edge of its own, beyond which a fit is not led."""
+_CLOSE = 24
+"""Sizes of such an effect where they are close together."""
 
-def list_starting_values(effect: str, scales: Scales) -> list[dict[str, float]]:
+
+def list_starting_values(
+    effect: str, scales: Scales, closely: bool = False
+) -> list[dict[str, float]]:
     """Return the sizes [SI] from which an effect is looked for, each as `numbers_of` names them.
 
     The grids are coarse: they reach from where an effect begins to be seen in a push of these
-    scales to where it is beyond doubt.
+    scales to where it is beyond doubt. `closely`: where each push has an edge of its own, as many
+    sizes as find the right side of all of them.
     """
-    names = numbers_of(effect)
-    return [
-        dict(zip(names, np.atleast_1d(values).tolist(), strict=True))
-        for values in _grid_of(effect, scales)
-    ]
+    names, sizes = numbers_of(effect), list(_grid_of(effect, scales))
+    if closely and effect in _EDGED:
+        sizes = list(np.geomspace(np.min(sizes), np.max(sizes), _CLOSE))
+    return [dict(zip(names, np.atleast_1d(x).tolist(), strict=True)) for x in sizes]
 
 
 def find_contact_time(s: Scales) -> float:
@@ -96,7 +103,7 @@ def _grid_of(effect: str, s: Scales) -> Iterable[ArrayLike]:
         case "release_threshold":
             return [x * s.peak for x in (0.01, 0.04, 0.12)]
         case "release_latch":
-            return [x * s.peak for x in (0.005, 0.03, 0.1)]
+            return [x * s.peak for x in (0.005, 0.03, 0.1, 0.3, 0.8)]
         case "channel_skew":
             return [3e-5, 2e-4, 1e-3]
         case _:

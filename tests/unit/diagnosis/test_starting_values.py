@@ -32,6 +32,16 @@ def test_an_effect_starts_from_values_of_all_its_numbers_off_its_null(effect):
         assert all(any(x != KEYS[name][1].null for name, x in one.items()) for one in starts)
 
 
+@pytest.mark.parametrize("effect", ["pusher_duration", "release_latch"])
+def test_sizes_with_an_edge_in_each_push_are_close_together_where_asked(effect):
+    coarse, close = (
+        np.sort([x for one in list_starting_values(effect, SCALES, closely) for x in one.values()])
+        for closely in (False, True)
+    )
+    assert np.allclose(close[[0, -1]], coarse[[0, -1]])
+    assert np.diff(np.log(close)).max() < 0.5 * np.diff(np.log(coarse)).max()
+
+
 def test_the_tables_name_effects_of_the_catalogue_and_none_twice():
     assert set(CATALOGUE) | {RATIO} >= SMOOTH_AT_NULL | set(SHAPED)
     assert not SMOOTH_AT_NULL & set(SHAPED)
