@@ -121,13 +121,18 @@ def locate(
     at = ensemble_refits.refit(wide, at, _ROUNDS)
     drop = float(ensemble.criterion(task, plain)[0]) - ensemble.criterion(wide, at)
     explained[leaders] = np.clip(drop / max(excess, 1.0), 0, 1)
-    enough = np.array([explained[k] >= FORMS[among[k]].least for k in leaders])
-    worths = np.where(enough | ~enough.any(), drop - price[leaders], -np.inf)
-    best = int(np.argmax(worths))
-    name = among[leaders[best]]
+    worths = drop - price[leaders]
+    best = choose_form([among[k] for k in leaders], explained[leaders], worths)
     shares = dict(zip(among, explained.tolist(), strict=True))
     worth = float(worths[best])
-    return make_location(wide, at.pick([best]), name, scales, shares, worth)
+    return make_location(wide, at.pick([best]), among[leaders[best]], scales, shares, worth)
+
+
+def choose_form(names: Sequence[str], explained: NDArray, worths: NDArray) -> int:
+    """Return the number of the form that is told: the one that is worth most, but for those that
+    explain less than their `least` where another explains enough."""
+    enough = explained >= np.array([FORMS[name].least for name in names])
+    return int(np.argmax(np.where(enough | ~enough.any(), worths, -np.inf)))
 
 
 def settle_location(

@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from difffric.diagnosis.background.curve_comparison import CurveComparison, limit_curves
+from difffric.diagnosis.location import choose_form
 from difffric.rig.free_form import FORMS
 
 
@@ -83,3 +85,16 @@ def test_a_form_that_may_imitate_another_is_held_against_the_next():
     assert CurveComparison(0.0, {"spring": 1.0, "travel": 3.0}, {}).leading == ("travel",)
     leading = CurveComparison(0.0, {"spring": 1.0, "loss": 3.0, "travel": 2.0}, {}).leading
     assert leading == ("loss", "travel")
+
+
+@pytest.mark.parametrize(
+    ("shares", "told"),
+    [((0.9, 0.85), "loss"), ((0.5, 0.45), "spring")],
+)
+def test_a_loss_that_leaves_much_gives_way_to_another_form(shares, told):
+    names, worths = ["loss", "spring"], 1000 * np.array(shares)
+    assert names[choose_form(names, np.array(shares), worths)] == told
+
+
+def test_a_loss_that_leaves_much_is_told_where_it_is_all_there_is():
+    assert choose_form(["loss"], np.array([0.3]), np.array([300.0])) == 0
