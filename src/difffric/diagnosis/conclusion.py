@@ -20,7 +20,7 @@ from difffric.diagnosis.inferred.friction import (
     find_friction,
 )
 from difffric.diagnosis.lack_of_fit import LackOfFit, is_misfit_large, measure_lack_of_fit
-from difffric.diagnosis.location import Location, locate, settle_location
+from difffric.diagnosis.location import Location, locate, locate_first_among, settle_location
 from difffric.diagnosis.misfit import Misfit, describe_remaining, measure_misfits
 from difffric.diagnosis.next_experiment import Experiment, Pair, hide_effects, plan_experiments
 from difffric.diagnosis.score_test import SIGNIFICANT, Score
@@ -324,7 +324,8 @@ def _locate_unexplained(
         return location if location.penalised_drop > _HALF * drop else None
     if found.explained is not None:
         tell("looking for the component", 0.92)
-        location = locate(task, plain, found.data.scales, found.lack.excess, found.curves)
+        given = task, plain, found.data.scales, found.lack.excess
+        location = locate_first_among(found.curves, *given)
         # What a curve explains was predicted from where the causes are. Beside a background it has
         # not the whole misfit to explain, and where many causes imitate it no curve need do so.
         fitted = task.prior is None and len(found.causes) < TOO_MANY

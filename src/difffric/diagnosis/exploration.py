@@ -160,7 +160,8 @@ def _refit_to_the_end(task: EnsembleTask, fits: Fits, far: bool) -> Fits:
     at = friction_scan.rescan_bad_pushes(task, fits) if far else fits
     fits = ensemble_refits.refit(task, at, _ROUNDS)
     bad, loose = friction_scan.rescan_bad_pushes, friction_scan.rescan_loose_pushes
-    for rescan in (bad, loose) if far else (loose,):
+    costly = () if task.model.recordings else (friction_scan.rescan_costly_pushes,)
+    for rescan in (*((bad, loose) if far else (loose,)), *costly):
         again = rescan(task, fits)
         fits = fits if again is fits else ensemble_refits.refit(task, again, _ROUNDS)
     return fits

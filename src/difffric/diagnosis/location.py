@@ -34,6 +34,8 @@ _FIRST_ROUNDS = 6
 """Steps at most of each form's fit to some of the pushes."""
 _ROUNDS = 12
 """Steps at most of a leading form's fit to all pushes."""
+FAR_LEFT = 1.0
+"""What a curve leaves beyond noise, in units of it, from which all are looked at."""
 _LEADERS = 2
 """Forms that are fitted to all pushes."""
 _AS_MUCH = 0.5
@@ -126,6 +128,18 @@ def locate(
     shares = dict(zip(among, explained.tolist(), strict=True))
     worth = float(worths[best])
     return make_location(wide, at.pick([best]), among[leaders[best]], scales, shares, worth)
+
+
+def locate_first_among(
+    leading: tuple[str, ...], task: EnsembleTask, plain: Fits, scales: Scales, excess: float
+) -> Location:
+    """Do as `locate` with the forms that are `leading` by linear answers, and with all where the
+    one that is found leaves far more than noise: there linear answers say little."""
+    location = locate(task, plain, scales, excess, leading)
+    left = (1.0 - location.explained[location.form]) * excess
+    if left <= FAR_LEFT * task.counts.sum():
+        return location
+    return locate(task, plain, scales, excess)
 
 
 def choose_form(names: Sequence[str], explained: NDArray, worths: NDArray) -> int:

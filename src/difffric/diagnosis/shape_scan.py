@@ -159,7 +159,8 @@ def _score_shapes(
     c[:, index] = at
     alone = replace(fits, c=c, gram=None)
     extra = ((*base.extra[0], *index),) * m
-    return drop, *(replace(one, extra=extra, residual=None) for one in (alone, beside))
+    alone, beside = (replace(one, extra=extra, residual=None) for one in (alone, beside))
+    return drop, alone, beside
 
 
 def _predict_step(task: EnsembleTask, fits: Fits, free: int) -> tuple[NDArray, NDArray]:

@@ -41,7 +41,8 @@ def list_starting_values(
     """
     names, sizes = numbers_of(effect), list(_grid_of(effect, scales))
     if closely and effect in _EDGED:
-        sizes = list(np.geomspace(np.min(sizes), np.max(sizes), _CLOSE))
+        every = np.array(sizes, float)
+        sizes = [*np.geomspace(every.min(), every.max(), _CLOSE)]
     return [dict(zip(names, np.atleast_1d(x).tolist(), strict=True)) for x in sizes]
 
 

@@ -1,12 +1,15 @@
 """When a curve of no particular form stands for causes of the catalogue."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from difffric.diagnosis import location
 from difffric.diagnosis.background.curve_comparison import CurveComparison, limit_curves
-from difffric.diagnosis.location import choose_form
+from difffric.diagnosis.location import choose_form, locate_first_among
 from difffric.rig.free_form import FORMS
 
 
@@ -98,3 +101,20 @@ def test_a_loss_that_leaves_much_gives_way_to_another_form(shares, told):
 
 def test_a_loss_that_leaves_much_is_told_where_it_is_all_there_is():
     assert choose_form(["loss"], np.array([0.3]), np.array([300.0])) == 0
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.5, "spring"), (0.999, "travel")])
+def test_all_forms_are_looked_at_where_the_leading_one_leaves_far_more_than_noise(
+    monkeypatch, share, told
+):
+    """A spring that softens was located in the pusher, whose curve led by linear answers."""
+
+    def locate(task, plain, scales, excess, among=tuple(FORMS)):
+        form = among[0] if len(among) == 1 else "spring"
+        return SimpleNamespace(form=form, explained={form: share})
+
+    monkeypatch.setattr(location, "locate", locate)
+    task: Any = SimpleNamespace(counts=np.array([[100]]))
+    nothing: Any = None
+    found = locate_first_among(("travel",), task, nothing, nothing, excess=10_000.0)
+    assert found.form == told

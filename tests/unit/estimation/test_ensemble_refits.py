@@ -119,6 +119,30 @@ def test_a_push_that_hardly_tells_its_mu_s_is_taken_to_the_better_of_two_valleys
     assert friction_scan.rescan_loose_pushes(task, found) is found
 
 
+class _CaughtFarAway(_Caught):
+    """Another valley, eighty standard errors of the push's own mu_s away, with a worse fit."""
+
+    beyond = (61.5, 58.5)
+
+    def find_edge(self, c):
+        return np.full(len(c), 0.03)
+
+
+def test_a_push_in_a_far_valley_is_taken_to_the_one_that_costs_less_within_the_scatter():
+    slopes = np.full((8, 2, 1), 1000.0)
+    measured = np.linspace(-20, 20, 8)[:, None] + [0.3, -0.3]
+    measured[0] = 0.2
+    task = make_task(slopes, measured, ())
+    task = replace(task, model=_CaughtFarAway(slopes, measured, ()))
+    at = replace(start(task, 0.03), own=0.06 * (np.arange(8) == 0)[None])
+    stuck = ensemble_refits.refit(task, at, 10)
+    assert stuck.own[0, 0] > 0.05
+    assert friction_scan.rescan_outlying_pushes(task, stuck).own[0, 0] > 0.05
+    found = ensemble_refits.refit(task, friction_scan.rescan_costly_pushes(task, stuck), 10)
+    assert abs(found.own[0, 0] + found.mu[0, 0]) < 1e-3
+    assert friction_scan.rescan_costly_pushes(task, found) is found
+
+
 class _CaughtLater(_Caught):
     """The same, with an edge that is lower where the other coordinate is large."""
 

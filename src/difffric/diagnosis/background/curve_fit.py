@@ -21,7 +21,14 @@ from difffric.diagnosis.background.small_effects import SmallEffects
 from difffric.diagnosis.data import DiagnosisData
 from difffric.diagnosis.inferred.curve_size import measure_open
 from difffric.diagnosis.inferred.friction import compute_friction_errors, find_friction
-from difffric.diagnosis.location import Location, add_free_forms, make_location, place_forms
+from difffric.diagnosis.location import (
+    FAR_LEFT,
+    Location,
+    add_free_forms,
+    locate,
+    make_location,
+    place_forms,
+)
 from difffric.estimation.ensembles import ensemble
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.rig.catalogue import CUTTING
@@ -61,7 +68,8 @@ def fit_curve_for_causes(
     what the plain fit leaves beyond it in chi-square.
 
     Beside the curve all small effects scatter no more than a background does, so that a cause that
-    is there is missed.
+    is there is missed. Where far more than noise is left, small effects stand for what the right
+    curve would: the one that explains more by itself is returned then.
     """
     data, task = found.data, found.data.task
     left = measure_left(task, found.joint)
@@ -84,6 +92,11 @@ def fit_curve_for_causes(
     arrived = 1.0 + beyond <= ARRIVED
     errors = np.hypot(errors, measure_open(form, location.correction, arrived))
     location = replace(location, friction=(find_friction(wide, fits, grown=False), errors))
+    if beyond > FAR_LEFT:
+        alone = locate(task, found.plain, data.scales, excess)
+        if alone.explained[alone.form] > explained[form]:
+            location = alone
+            beyond = (1.0 - alone.explained[alone.form]) * excess / float(task.counts.sum())
     return CurveFit(location, 1.0 - beyond / (left - 1.0))
 
 

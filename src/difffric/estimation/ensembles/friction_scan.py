@@ -22,6 +22,9 @@ in units of it."""
 _OUTLYING, _CLOSE = 2.5, np.linspace(-12.0, 12.0, 49)
 """Standard deviations of what noise leaves of a push, by which one fits worse than the others, and
 the own log mu_s that are tried then, in units of its standard error."""
+_COSTLY, _WIDE = 4.0, np.linspace(-3.0, 3.0, 61)
+"""What a push costs, its own mu_s included, from which that is looked for anywhere within the
+scatter, and the own log mu_s that are tried then, in units of it."""
 _CAUGHT, _RISES = 0.25, 0.1
 """The share of pushes up to which those that keep a step from succeeding are looked at closely, and
 the share of the largest rise of a push's squares that such a one has at least."""
@@ -52,6 +55,17 @@ def rescan_loose_pushes(task: EnsembleTask, fits: Fits) -> Fits:
         return fits
     error = compute_own_errors(fits)
     return _rescan(task, fits, error > LOOSE, make_own_grid(fits, error), 1.0)
+
+
+def rescan_costly_pushes(task: EnsembleTask, fits: Fits) -> Fits:
+    """The fits with the own mu_s of pushes that fit badly, or only with one that is unusual, taken
+    from a grid over the scatter: two numbers of a table may tell a push's own mu_s to a thousandth,
+    and another branch of it be thirty standard errors away."""
+    if not task.mu_free:
+        return fits
+    grid = np.multiply.outer(fits.scatter, _WIDE)[:, None]
+    costly = _penalise_squares(fits) > _COSTLY
+    return _rescan(task, fits, costly, np.broadcast_to(grid, (*costly.shape, len(_WIDE))), 1.0)
 
 
 def rescan_outlying_pushes(task: EnsembleTask, fits: Fits) -> Fits:
