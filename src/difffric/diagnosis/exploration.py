@@ -30,8 +30,11 @@ _SCORED = 3
 """Effects that lead by the score test and are refitted too, whatever the scan says of them."""
 _BLIND = 1.0
 """Standard deviations at its typical size below which an effect's score test sees nothing."""
-_TESTED = 6
+_TESTED = 10
 """Effects that the score tests choose where the misfit is small."""
+_TRIED = 6
+"""Steps of a leader's fit where the misfit is small, before it is judged: a lag had a fifteenth of
+its gain after three."""
 _ROUNDS = 15
 """Steps at most of a leader's refit to all pushes; a fit that has arrived rests."""
 _ALWAYS_KEPT = 3
@@ -190,11 +193,14 @@ def _search_near(search: _EffectSearch) -> tuple[Fits, list[str]]:
         mine = np.array([j for j, x in enumerate(behind) if x == effect])
         keep += mine[np.argsort(promised[mine])[:2]].tolist()
     fits, behind = ensemble_refits.refit(task, fits.pick(keep), 1), [behind[j] for j in keep]
-    # The leaders, and those of the effects that a score test does not see.
-    order: list[int] = np.argsort(_predict_criterion(task, fits)).tolist()
+    # The leading effects, and those that a score test does not see, of which each may have several
+    # fits: by the fits alone three shapes had left out a lag that explained more than any.
+    promised = _predict_criterion(task, fits)
+    order: list[int] = np.argsort(promised).tolist()
+    first = sorted(_find_best_of_each(promised, behind), key=lambda j: promised[j])
     blind = [j for j in order if search.is_blind(behind[j])]
-    keep = sorted({*order[:_TESTED], *blind[:_TESTED]})
-    fits, behind = ensemble_refits.refit(task, fits.pick(keep), 2), [behind[j] for j in keep]
+    keep = sorted({*first[:_TESTED], *blind[:_TESTED]})
+    fits, behind = ensemble_refits.refit(task, fits.pick(keep), _TRIED), [behind[j] for j in keep]
     # What shows only where a push sticks is a matter of branches.
     jumps = [j for j, effect in enumerate(behind) if search.is_blind(effect)]
     if jumps:
@@ -205,7 +211,7 @@ def _search_near(search: _EffectSearch) -> tuple[Fits, list[str]]:
     search.tell(0.6)
     cost = ensemble.criterion(task, fits)
     charged = cost + task.price * np.array([len(numbers_of(effect)) for effect in behind])
-    best = sorted(_find_best_of_each(cost, behind), key=lambda j: charged[j])[:_LEADERS]
+    best = sorted(_find_best_of_each(cost, behind), key=lambda j: charged[j])[: 2 * _LEADERS]
     return fits.pick(best), [behind[j] for j in best]
 
 
