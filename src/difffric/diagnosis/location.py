@@ -35,7 +35,7 @@ _FIRST_ROUNDS = 6
 _ROUNDS = 12
 """Steps at most of a leading form's fit to all pushes."""
 FAR_LEFT = 1.0
-"""What a curve leaves beyond noise, in units of it, from which all are looked at."""
+"""What the leading curve leaves beyond noise, in units of it, from which all are fitted."""
 _LEADERS = 2
 """Forms that are fitted to all pushes."""
 _AS_MUCH = 0.5

@@ -120,7 +120,7 @@ def test_a_push_that_hardly_tells_its_mu_s_is_taken_to_the_better_of_two_valleys
 
 
 class _CaughtFarAway(_Caught):
-    """Another valley, eighty standard errors of the push's own mu_s away, with a worse fit."""
+    """Another valley with a worse fit, many standard errors of the push's own mu_s away."""
 
     beyond = (61.5, 58.5)
 
