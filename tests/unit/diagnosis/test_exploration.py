@@ -40,6 +40,57 @@ def test_a_drift_leads_that_leaves_no_scatter_and_larger_squares():
     assert found[0].p_value < 1e-6
 
 
+def test_effects_lead_however_many_fits_others_have():
+    """Six effects of which each has several fits explain more than the seventh has by its one: it
+    is counted among the effects, and comes out behind them."""
+    n, rng = 40, np.random.default_rng(2)
+    blind = (*UNSEEN, "release_threshold")
+    names = tuple(name for effect in (*blind, "tilt") for name in numbers_of(effect))
+    measured = 5.0 * rng.standard_normal((n, 2))
+    slopes = rng.standard_normal((n, 2, 1 + len(names)))
+    slopes[:, :, 0] = 0.0  # mu_s shows in nothing
+    slopes[:, :, 1:] += measured[:, :, None]
+    slopes[:, :, -1] += 2.0 * rng.standard_normal((n, 2))
+    task = make_task(slopes, measured, names)
+    base = ensemble_refits.refit(task, start(task, 0.05), 10)
+    scores = run_score_tests(task, base, ["tilt"])
+    scales: Any = SimpleNamespace(mass=10.0, peak=100.0, ways=np.ones(n))
+    found = explore(task, base, (*blind, "tilt"), scales, scores, far=False)
+    assert {one.effect for one in found} == {*blind, "tilt"}
+    assert found[-1].effect == "tilt"
+    for one in found:
+        x = slopes[:, :, 1 + names.index(numbers_of(one.effect)[0])].ravel()
+        assert one.drop == pytest.approx((x @ measured.ravel()) ** 2 / (x @ x), rel=1e-3)
+
+
+def test_shapes_start_from_the_rest_as_it_was_and_as_it_would_be_beside_them():
+    """Where a patch and k answer alike and both explain, what the rest of the model is beside the
+    patch is the joint optimum; of a table with a large misfit there are starts of both kinds."""
+    n, rng = 20, np.random.default_rng(3)
+    names = ("k", *numbers_of("friction_patch"))
+    slopes = rng.standard_normal((n, 2, 1 + len(names)))
+    patch = 1 + names.index("friction_patch.amplitude")
+    place = 1 + names.index("friction_patch.start_m")
+    slopes[:, :, 0] = slopes[:, :, place] = 0.0
+    slopes[:, :, patch] += slopes[:, :, 1]
+    measured = slopes[:, :, 1] + 0.3 * slopes[:, :, patch] + 0.1 * rng.standard_normal((n, 2))
+    task: Any = make_task(slopes, measured, names, shared=(1,))
+    base = start(task, 0.3)
+    scales: Any = SimpleNamespace(ways=np.linspace(1e-3, 3e-3, n), first_place=1e-5)
+    every = np.arange(n)
+    optimum = np.linalg.lstsq(slopes[:, :, [1, patch]].reshape(-1, 2), measured.ravel())[0]
+    both = shape_scan.scan_shapes(task, base, "friction_patch", scales, every, far=True)
+    near = shape_scan.scan_shapes(task, base, "friction_patch", scales, every, far=False)
+    m = near.m
+    assert both.m == 2 * m
+    np.testing.assert_array_equal(both.c[:m, 1], base.c[0, 1])
+    for beside in (near.c, both.c[m:]):
+        np.testing.assert_allclose(beside[:, [1, patch]], np.tile(optimum, (m, 1)), rtol=1e-6)
+    task.model.recordings = True
+    of_recordings = shape_scan.scan_shapes(task, base, "friction_patch", scales, every, far=True)
+    np.testing.assert_array_equal(of_recordings.c[:, 1], base.c[0, 1])
+
+
 @pytest.mark.parametrize("k", [-1.0, -0.2, 0.5])
 def test_a_shape_explains_what_it_adds_to_a_fit_within_bounds(k):
     n, rng = 20, np.random.default_rng(4)
