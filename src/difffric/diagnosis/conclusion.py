@@ -62,6 +62,8 @@ rest before the pushes was short: so much says nothing where no curve explains a
 _FAR_MORE = 3.0
 """How many times the squares that small effects leave a plain model leaves that is wrong by far
 more than they are."""
+_MISSED = 0.02
+"""Probability that the cause is none of those compared, or was not found where it explains most."""
 _VISIBLE = 3.0
 """Standard deviations at its typical size from which an effect can be seen."""
 _SAME = 0.01
@@ -86,11 +88,11 @@ class NamedCause:
 
     @property
     def probability(self) -> float:
-        """Of the cause among all that were compared, one of them being there."""
+        """Of the cause among all that were compared, one of them being there unless missed."""
         most = self.best.penalised_drop
         weights = [np.exp(0.5 * (c.penalised_drop - most)) for c in self.others]
         total = sum(weights) + np.exp(-0.5 * most)
-        return float(1.0 / max(total, 1.0))
+        return float((1.0 - _MISSED) / max(total, 1.0))
 
 
 @dataclass(frozen=True)
