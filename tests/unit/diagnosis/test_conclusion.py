@@ -28,11 +28,13 @@ def test_a_cause_is_confused_with_what_explains_nearly_as_much():
 
 
 def test_two_that_explain_the_same_are_as_probable_and_odds_are_20_at_the_limit():
+    """One that stands alone may still be the wrong one, as a search may have missed the right."""
     best, same = candidate("tilt", 50.0), candidate("friction_ratio", 50.0)
-    assert NamedCause(best, (best,), NO_FITS).probability == pytest.approx(1.0)
-    assert NamedCause(best, (best, same), NO_FITS).probability == pytest.approx(0.5)
+    alone = NamedCause(best, (best,), NO_FITS).probability
+    assert 0.95 < alone < 0.99
+    assert NamedCause(best, (best, same), NO_FITS).probability == pytest.approx(alone / 2)
     limit = candidate("force_gain", 50.0 - ALIKE)
-    assert NamedCause(best, (best, limit), NO_FITS).probability == pytest.approx(20 / 21)
+    assert NamedCause(best, (best, limit), NO_FITS).probability == pytest.approx(alone * 20 / 21)
 
 
 @pytest.mark.parametrize(("left", "told"), [(1.0, False), (1.9, False), (2.5, True)])

@@ -63,6 +63,25 @@ def test_effects_lead_however_many_fits_others_have():
         assert one.drop == pytest.approx((x @ measured.ravel()) ** 2 / (x @ x), rel=1e-3)
 
 
+def test_a_table_is_looked_through_from_every_size_and_all_that_is_free_follows():
+    """Where pushes' own mu_s have taken a strong effect in, and starts at all sizes are far from
+    it, what it explains in the end is what the joint least squares have."""
+    n, rng = 30, np.random.default_rng(5)
+    effects = ("force_gain", "probe_scale", "pusher_speed")
+    names = ("k", *(name for effect in effects for name in numbers_of(effect)))
+    slopes = 300.0 * rng.standard_normal((n, 2, 1 + len(names)))
+    slopes[:, :, 0] = rng.uniform(500.0, 2000.0, (n, 2))
+    measured = slopes @ [0.0, 0.1, 0.3, 0.0, 0.0] + rng.standard_normal((n, 2))
+    task = make_task(slopes, measured, names, shared=(1,))
+    base = ensemble_refits.refit(task, start(task, 0.05), 10)
+    scales: Any = SimpleNamespace(mass=10.0, ways=np.ones(n))
+    found = explore(task, base, effects, scales, {}, far=True)
+    assert found[0].effect == "force_gain"
+    at = found[0].fits
+    assert at.c[0, names.index(numbers_of("force_gain")[0]) + 1] == pytest.approx(0.3, abs=3e-3)
+    assert at.scatter[0] < 0.1 * base.scatter[0]
+
+
 def test_shapes_start_from_the_rest_as_it_was_and_as_it_would_be_beside_them():
     """Where a patch and k answer alike and both explain, what the rest of the model is beside the
     patch is the joint optimum; of a table with a large misfit there are starts of both kinds."""
