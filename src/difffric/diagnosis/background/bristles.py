@@ -33,7 +33,7 @@ from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
 from difffric.estimation.extended_model import PRESLIDING
 from difffric.rig.catalogue import CUTTING, numbers_of
 
-LIKE_BRISTLES = (PATCH, "friction_ratio", "friction_waviness", "pusher_ripple")
+LIKE_BRISTLES = (PATCH, "friction_ratio", "friction_waviness")
 """Effects that bristles are taken for."""
 _SCANS = 2
 """How often the pushes' own mu_s are looked for beside each stiffness: where a patch stood for

@@ -28,8 +28,8 @@ from difffric.estimation.ensembles.own_friction import settle_by_push
 _BENT = 0.02
 """The scatter of mu_s from which the pushes' own may hide a strong effect."""
 _TIGHT = 0.04
-"""The scatter that they are allowed at most where they start from equal ones: with more each goes
-where it likes, and none asks anything of the effect."""
+"""The scatter that they are allowed at most where they start from equal ones once more: with more
+each goes where it likes, and none asks anything of the effect."""
 _PROMISING, _AS_THEY_ARE = 4, 2
 """Sizes of each effect that are followed: by what one step promises, and as they stand."""
 _HELD = 4
@@ -80,8 +80,9 @@ def _choose_sizes(search: EffectSearch) -> tuple[Fits, NDArray]:
     bases = [base]
     if task.mu_free and base.scatter[0] > _BENT:
         # Beside a strong effect the plain fit has bent each push's own: from equal ones too.
+        equal = replace(base, own=np.zeros_like(base.own))
         tight = np.minimum(base.scatter, _TIGHT)
-        bases.append(replace(base, own=np.zeros_like(base.own), scatter=tight))
+        bases += [equal, replace(equal, scatter=tight)]
     every = np.arange(task.n)
     starts = [make_starts(task, at, e, search.scales, every) for at in bases for e in effects]
     origin = np.concatenate([np.full(one.m, k) for k, one in enumerate(starts)])
