@@ -10,8 +10,7 @@ order, and which module holds each step:
    nothing linear is to be trusted.
 3. `score_test` predicts for each effect, without a refit, how much it would explain.
 4. `exploration` finds the effects that explain most and refits them, from where the score tests
-   lead and from the sizes of `starting_values`, with `shape_scan` for wavelengths and places;
-   `candidates` makes these starts, and looks through them with a table's pushes.
+   lead and from the sizes of `starting_values`, with `shape_scan` for wavelengths and places.
 5. `cross_validation` says whether the best of them predicts held-out pushes better. If it does and
    is significant, it joins the model, `start` looks for a better optimum of that model while it is
    not at its noise floor, and `procedure` begins again at 3, up to three
