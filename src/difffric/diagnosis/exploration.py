@@ -20,7 +20,6 @@ from difffric.diagnosis.shape_scan import SHAPED, is_within_travel, scan_shapes
 from difffric.diagnosis.starting_values import list_starting_values
 from difffric.estimation.ensembles import ensemble, ensemble_refits, friction_scan
 from difffric.estimation.ensembles.ensemble import EnsembleTask, Fits
-from difffric.estimation.ensembles.own_friction import settle_by_push
 from difffric.estimation.extended_model import PRESLIDING
 from difffric.rig.catalogue import RATIO, numbers_of
 from difffric.rig.scales import Scales
@@ -193,8 +192,7 @@ def _search_near(search: _EffectSearch) -> tuple[Fits, list[str]]:
     for effect in dict.fromkeys(behind):
         mine = np.array([j for j, x in enumerate(behind) if x == effect])
         keep += mine[np.argsort(promised[mine])[:2]].tolist()
-    fits, behind = _settle_starts(task, fits.pick(keep)), [behind[j] for j in keep]
-    fits = ensemble_refits.refit(task, fits, 1)
+    fits, behind = ensemble_refits.refit(task, fits.pick(keep), 1), [behind[j] for j in keep]
     # The leading effects, and those that a score test does not see, of which each may have several
     # fits: by the fits alone three shapes had left out a lag that explained more than any.
     promised = _predict_criterion(task, fits)
@@ -237,8 +235,7 @@ def _search_far(search: _EffectSearch) -> tuple[Fits, list[str]]:
     near, known = _start_from_scores(search, list(scored))
     starts = ensemble.evaluate(task, ensemble.join(starts, near) if near.m else starts)
     behind = np.append(behind, [effects.index(effect) for effect in known]).astype(int)
-    starts = _settle_starts(task, starts)
-    first = _find_best_of_each(_rate_promise(task, starts), behind)
+    first = _find_best_of_each(_predict_cost(task, starts)[1], behind)
     fits, owner = ensemble_refits.refit(task, starts.pick(first), 2), behind[first]
     return fits, [effects[int(k)] for k in owner]
 
@@ -261,9 +258,8 @@ def _scan_grids(search: _EffectSearch, some: NDArray) -> tuple[Fits, NDArray]:
         mine = np.flatnonzero(owner == k)
         chosen |= {*mine[np.argsort(promised[mine])[: len(bases)]], mine[np.argmin(cost[mine])]}
     keep = np.array(sorted(chosen))
-    fits, owner = _settle_starts(task, fits.pick(keep)), owner[keep]
-    fits = ensemble_refits.refit(task, fits, 1, some)
-    keep = np.argsort(_rate_promise(task, fits))[:_PURSUED]
+    fits, owner = ensemble_refits.refit(task, fits.pick(keep), 1, some), owner[keep]
+    keep = np.argsort(_predict_cost(task, fits)[1])[:_PURSUED]
     fits, owner = ensemble_refits.refit(task, fits.pick(keep), 2, some), owner[keep]
     search.tell(0.5)
     if _is_hopeless(search, fits, some, _UNREFINED):
@@ -298,12 +294,6 @@ def _make_starts(
         mine = coordinates.indices(numbers_of(effect))
         fits = replace(fits, mu=fits.mu - (rows - base.c[:, mine]))
     return fits
-
-
-def _settle_starts(task: EnsembleTask, fits: Fits) -> Fits:
-    """Take each push's own mu_s of a table to its best, as far from it no step keeps what it says."""
-    settled = fits if task.model.recordings else settle_by_push(task, fits)
-    return fits if settled is fits else ensemble.estimate_scatters(task, settled)
 
 
 def _start_from_scores(search: _EffectSearch, effects: Iterable[str]) -> tuple[Fits, list[str]]:
@@ -383,12 +373,6 @@ def _predict_criterion(task: EnsembleTask, fits: Fits) -> NDArray:
     may leave no smaller squares."""
     z = ensemble.normal_equations(task, fits).z
     return _predict_cost(task, fits)[1] + ensemble.compute_volume(task, fits, z)
-
-
-def _rate_promise(task: EnsembleTask, fits: Fits) -> NDArray:
-    """Return what one step promises (m,): -2 log likelihoods of a table, costs of recordings."""
-    by_cost = task.model.recordings
-    return _predict_cost(task, fits)[1] if by_cost else _predict_criterion(task, fits)
 
 
 def _find_best_of_each(cost: NDArray, owner: Iterable[Hashable]) -> list[int]:
