@@ -63,7 +63,8 @@ _FAR_MORE = 3.0
 """How many times the squares that small effects leave a plain model leaves that is wrong by far
 more than they are."""
 _MISSED = 0.02
-"""Probability that the cause is none of those compared, or was not found where it explains most."""
+"""Probability that the cause is none of those compared, or was not found where it explains most:
+six of 264 made causes that were told at more than 0.99 were another."""
 _VISIBLE = 3.0
 """Standard deviations at its typical size from which an effect can be seen."""
 _SAME = 0.01

@@ -65,7 +65,7 @@ def test_effects_lead_however_many_fits_others_have():
 
 def test_a_table_is_looked_through_from_every_size_and_all_that_is_free_follows():
     """Where pushes' own mu_s have taken a strong effect in, and starts at all sizes are far from
-    it, what it explains in the end is what the joint least squares have."""
+    it, the effect leads, at its size, and leaves the pushes hardly any scatter."""
     n, rng = 30, np.random.default_rng(5)
     effects = ("force_gain", "probe_scale", "pusher_speed")
     names = ("k", *(name for effect in effects for name in numbers_of(effect)))
