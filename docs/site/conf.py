@@ -58,7 +58,7 @@ CONTENTS = {
     "Notebooks": [f"notebooks/{path.stem}" for path in sorted(HERE.parents[1].glob("notebooks/*"))],
     "The model": ["docs/model", "docs/effects", "docs/catalogue"],
     "Reference": ["docs/site/reference", "docs/formats", "docs/card"],
-    "Evidence": ["docs/performance", "docs/study", "docs/sampling"],
+    "Evidence": ["docs/performance", "docs/study", "docs/failing_cases", "docs/sampling"],
     "The project": [
         "docs/architecture",
         "docs/decisions/README",
