@@ -1,5 +1,7 @@
 """What filters let through of a push, stride by stride."""
 
+import math
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from scipy.integrate import solve_ivp
 from difffric.rig.catalogue import extended
 from difffric.rig.rig import spring_damper_rig
 from difffric.simulation.observables import observe, observe_steps
+from difffric.simulation.stepping.dense_output import OnePole
 from difffric.simulation.stepping.integrator import RungeKutta
 from difffric.simulation.stepping.path import follow
 from difffric.simulation.stepping.sensor_readout import Filters, filter_strides
@@ -40,6 +43,32 @@ def test_filters_of_some_strides_solve_their_equations_one_after_the_other(tau, 
         row = type(passed)(*(x[k] for x in passed))
         assert float(row.value(1.0)) == pytest.approx(share * (ends[0] - ends[1]), rel=1e-7)
     np.testing.assert_allclose(after, ends, rtol=1e-7)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 0.3, 1e-2, 1e-9, 1.01, 30.0, np.inf])
+def test_the_few_powers_of_a_filters_answer_are_its_series(ratio):
+    """f' = ratio (N - f), f(0) = 1, over the whole stride: against 40 terms of its power series
+    where they converge, and N less ratio^-1 N' plus what decays where they do not. A force that is
+    as smooth as an integrator's step, and one whose eight powers are all as large."""
+    n, share = np.arange(8), np.linspace(0, 1, 21)
+    for N, error in ((0.9**n / [math.factorial(k) for k in n], 1e-12), ((-1.0) ** n, 1e-8)):
+        found = OnePole.of(jnp.asarray(N), jnp.asarray(1.0), jnp.asarray(1e-3), 1e-3 / ratio)
+        values = np.array([float(found.value(s)) for s in share])
+        if ratio <= 1:
+            f = [1.0]
+            for k in range(40):
+                f.append(ratio * ((N[k] if k < 8 else 0.0) - f[k]) / (k + 1))
+            exact = polynomial.polyval(share, f)
+        else:
+            p = sum((-1 / ratio) ** k * _differentiate(N, k) for k in range(8))
+            exact = polynomial.polyval(share, p)
+            exact += (1 - p[0]) * np.exp(-ratio * share) if np.isfinite(ratio) else 0.0
+        np.testing.assert_allclose(values, exact, atol=error, rtol=0)
+
+
+def _differentiate(coefficients, times):
+    """The coefficients of a polynomial's derivative, as many as its own."""
+    return np.pad(polynomial.polyder(coefficients, times), (0, times))[:8]
 
 
 @pytest.mark.parametrize("effect", ["force_lowpass", "force_highpass", "sample_clipping"])

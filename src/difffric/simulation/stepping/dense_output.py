@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
-from numpy.polynomial import polynomial
+from numpy.polynomial import Chebyshev, Polynomial, polynomial
 from numpy.typing import NDArray
 
 from difffric.simulation.dynamics import Course, Motion, PhasePoint
@@ -129,20 +129,37 @@ class Stride(NamedTuple):
         return _multiply(_TO_POWERS, [at[i] for i in range(len(_NODES))])
 
 
-_TERMS = 18
+_TERMS, _STORED = 16, 10
 """Powers of a filter's answer to a stride that is short beside its time constant: the series has
-converged to rounding."""
+converged to rounding; and as many as tell it as well, lowest first, which are read hundreds of
+times."""
+
+
+def _fold_powers(most: int, stored: int) -> NDArray:
+    """The matrix that turns the coefficients of s^stored, ..., s^(most - 1) into what they add to
+    those of 1, ..., s^(stored - 1), as near as polynomials of that order come for s from 0 to 1:
+    their Chebyshev series, cut (Lanczos, Applied Analysis, 1956)."""
+    columns = []
+    for n in range(stored, most):
+        one = Polynomial.basis(n, window=(0, 1), domain=(0, 1))
+        short = one.convert(kind=Chebyshev, domain=(0, 1)).truncate(stored)
+        columns.append(short.convert(kind=Polynomial, domain=(-1, 1)).coef)
+    return np.stack(columns, axis=1)
+
+
+_FOLD = _fold_powers(_TERMS, _STORED)
 
 
 class OnePole(NamedTuple):
     """`tau f' = N - f` over a stride, N a polynomial: its exact solution, for any tau >= 0."""
 
     powers: Float[Array, "terms *strides"]
-    """of N's particular solution, or of f itself where the step is short beside tau"""
+    """of N's particular solution, or of the answer from nothing where the step is short beside
+    tau"""
     rest: Float[Array, "*strides"]
     """what decays [N]"""
     ratio: Float[Array, "*strides"]
-    """step / tau"""
+    """step / tau; infinite: what decays is gone"""
 
     @classmethod
     def of(
@@ -167,23 +184,30 @@ class OnePole(NamedTuple):
             return new, new
 
         _, p = jax.lax.scan(go_down, none, (n, N), reverse=True)
-        # Slow: f' = ratio (N - f), from the lowest power up.
+        # Slow: f' = ratio (N - f) from nothing, from the lowest power up.
         ratio = jnp.where(quick, 0.0, h / jnp.where(quick, 1.0, tau))
-        padding = jnp.zeros((_TERMS - len(N), *N.shape[1:]))
+        every = jnp.arange(1.0, _TERMS + 1), jnp.concatenate([N, _pad(N, _TERMS)])
 
         def go_up(below, given):
             n, c = given
             return ratio * (c - below) / n, below
 
-        every = jnp.arange(1.0, _TERMS + 1), jnp.concatenate([N, padding])
-        _, f = jax.lax.scan(go_up, f_0 + none, every)
-        powers = jnp.where(quick, jnp.concatenate([p, padding]), f)
-        rest = jnp.where(quick, f_0 - p[0], 0.0)
-        steep = jnp.where(tau > 0, h / jnp.where(tau > 0, tau, 1.0), jnp.inf)
-        return cls(powers, rest, jnp.where(quick, steep, 0.0))
+        _, f = jax.lax.scan(go_up, none, every)
+        f = f[:_STORED] + jnp.stack(_multiply(_FOLD, [*f[_STORED:]]))
+        powers = jnp.where(quick, jnp.concatenate([p, _pad(p, _STORED)]), f)
+        rest = jnp.where(quick, f_0 - p[0], f_0)
+        return cls(powers, rest, jnp.where(tau > 0, h / jnp.where(tau > 0, tau, 1.0), jnp.inf))
+
+    def fade(self, share: Float[ArrayLike, ""]) -> Float[Array, "*strides"]:
+        """What is left at a share of the stride of what decays, of 1."""
+        sharp = jnp.isinf(self.ratio)
+        return jnp.where(sharp, 0.0, jnp.exp(-jnp.where(sharp, 1.0, self.ratio) * share))
 
     def value(self, share: Float[ArrayLike, ""]) -> Float[Array, "*strides"]:
         """f [N] at a share of the stride."""
-        sharp = jnp.isinf(self.ratio)
-        fades = jnp.where(sharp, 0.0, jnp.exp(-jnp.where(sharp, 1.0, self.ratio) * share))
-        return sum_powers(self.powers, share) + self.rest * fades
+        return sum_powers(self.powers, share) + self.rest * self.fade(share)
+
+
+def _pad(powers: Array, terms: int) -> Array:
+    """Zeros (.., strides) for as many powers as are missing up to so many terms."""
+    return jnp.zeros((terms - len(powers), *powers.shape[1:]))

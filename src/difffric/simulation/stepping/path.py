@@ -56,20 +56,25 @@ class PushPath(NamedTuple):
         force = jnp.where(time >= 0, self.motion.force(stride.course, s), 0.0)
         return force, self.motion.position(s), jnp.where(over, 0.0, s.u)
 
+    def locate(self, time: Float[Array, ""]) -> Float[Array, ""]:
+        """The part's position [m] at a time [s]: what `evaluate` says of it, in half the time."""
+        stride, _, share, over = self._find(time)
+        return jnp.where(over, self.motion.position(self.end.s), stride.position(share))
+
     def read(
         self, t_force: Float[Array, "*force"], t_position: Float[Array, "*position"]
     ) -> tuple[Array, Array]:
         """What the sensors read: force [N] and position [m], each at its own times [s]."""
         sensor, probe = self.motion.rig.force_sensor, self.motion.rig.probe
         force = jnp.vectorize(self.filter_force)(t_force)
-        at = jnp.vectorize(lambda time: self.evaluate(time)[1])
-        return sensor.read(force), probe.read(at(t_position - probe.delay))
+        position = jnp.vectorize(self.locate)(t_position - probe.delay)
+        return sensor.read(force), probe.read(position)
 
     def measure_late_distance(self) -> Float[Array, ""]:
         """How much longer than it is d is read [m], as the position that is read at the loss of
         contact is that of a `probe.delay` before."""
         probe = self.motion.rig.probe
-        before = self.evaluate(self.end.t_lost - probe.delay)[1]
+        before = self.locate(self.end.t_lost - probe.delay)
         return probe.read(self.end.x_lost) - probe.read(before)
 
     def find_read_peak(

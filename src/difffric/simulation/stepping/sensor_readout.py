@@ -155,22 +155,20 @@ def filter_strides(
     N [N] are the coefficients of their forces, h [s] their lengths, of which each counts up to the
     share `end`; those that are not `there` are passed over. `state` is what is remembered before.
 
-    An answer is affine in what is remembered: it is computed for all strides at once, from nothing
-    and from one, and then passed on as a product and a sum.
+    An answer is what it is from nothing and what decays of what is remembered: it is computed for
+    all strides at once, and then passed on as a product and a sum.
     """
     none = jnp.zeros_like(h)
     driven = Filtered.of(filters, N, (none, none), h)
-    left = Filtered.of(filters, jnp.zeros_like(N), (none + 1.0, none + 1.0), h)
 
-    def pass_on(own: OnePole, decay: OnePole, f: Array) -> tuple[Array, OnePole]:
-        kept = jnp.where(there, decay.value(end), 1.0)
+    def pass_on(own: OnePole, f: Array) -> tuple[Array, OnePole]:
+        kept = jnp.where(there, own.fade(end), 1.0)
         added = jnp.where(there, own.value(end), 0.0)
         f, before = jax.lax.scan(lambda f, ab: (ab[0] * f + ab[1], f), f, (kept, added))
-        powers = own.powers + before * decay.powers
-        return f, own._replace(powers=powers, rest=own.rest + before * decay.rest)
+        return f, own._replace(rest=own.rest + before)
 
-    f_low, low = pass_on(driven.low, left.low, state[0])
-    f_high, high = pass_on(driven.high, left.high, state[1])
+    f_low, low = pass_on(driven.low, state[0])
+    f_high, high = pass_on(driven.high, state[1])
     passed = driven._replace(low=low, high=high).summarise()
     return (f_low, f_high), jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), passed)
 
