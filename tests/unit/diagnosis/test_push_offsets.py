@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 import difffric as df
 from difffric.diagnosis import start as starting
+from difffric.diagnosis.inferred import push_offsets
 from difffric.diagnosis.inferred.push_offsets import (
     PushOffsets,
     _is_real,
@@ -124,6 +125,17 @@ def test_no_offsets_where_pushes_are_not_off_at_random(hidden, begin):
     _, start, plain = begin(case)
     assert find_push_offsets(start.data.task, plain) is None
     assert describe_offsets(()) == ()
+
+
+def test_two_offsets_that_do_the_same_are_not_told(monkeypatch):
+    """They had ended a diagnosis with `Singular matrix`."""
+    n, J, same = 3, np.arange(8.0), np.ones((3, 8))
+    rows = np.stack([np.tile(J, (n, 1)), np.tile(J**2, (n, 1))], axis=-1)
+    monkeypatch.setattr(push_offsets, "_ask", lambda *given: rows)
+    monkeypatch.setattr(push_offsets, "_differentiate", lambda *given: same)
+    task: Any = SimpleNamespace(n=n, shared=(), conditions=1, condition=np.zeros(n, int))
+    at: Any = SimpleNamespace(scatter=np.array([0.1]), own=np.zeros((1, n)))
+    assert push_offsets._fit_offsets(task, at, (0, 1)) is None
 
 
 @given(

@@ -205,10 +205,13 @@ def _step(
     A = np.zeros((*r.shape, task.conditions + len(shared)))
     A[np.arange(task.n), :, task.condition] = J[..., 0]
     A[..., task.conditions :] = J[..., 1:]
+    lost = np.full((task.n, len(kinds)), np.nan)
     if not np.isfinite(U).all() or (np.einsum("naa->na", U) == 0).any():
-        lost = np.full((task.n, len(kinds)), np.nan)
         return at, lost, lost
-    known = np.linalg.inv(U)
+    try:
+        known = np.linalg.inv(U)
+    except np.linalg.LinAlgError:  # two offsets of a push do the same
+        return at, lost, lost
     W = np.einsum("nmp,nma->npa", A, B)
     H = np.einsum("nmp,nmq->pq", A, A) - np.einsum("npa,nab,nqb->pq", W, known, W)
     g = np.einsum("nmp,nm->p", A, r) - np.einsum("npa,nab,nb->p", W, known, b)
