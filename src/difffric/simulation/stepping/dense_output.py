@@ -148,6 +148,7 @@ def _fold_powers(most: int, stored: int) -> NDArray:
 
 
 _FOLD = _fold_powers(_TERMS, _STORED)
+"""What the highest powers of a filter's answer add to those that are stored."""
 
 
 class OnePole(NamedTuple):
